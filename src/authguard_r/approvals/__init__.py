@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Approvals and selections: what supervisors and choosers sign, opened and held to its signer.
+
+Whether an answer fits a question is decided in the core (`core.checks.approval`), afresh, at use.
+Spec page: docs/spec/approval.md
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
+from authguard_r.core.encoding import Tag
+from authguard_r.core.identifiers import Count, Digest, GrantId, MissionId, Positive, RobotId
+from authguard_r.core.ports import Verifier
+from authguard_r.core.quantities import Now
+from authguard_r.core.standing import ApprovalRequest
+from authguard_r.core.token import Principal, VerifiedMission, open_token
+
+#: Roles whose holders may answer at all; the mission's policy narrows this.
+APPROVER_ROLES = frozenset({"operator", "supervisor", "safety_officer"})
+
+
+class Selection(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A signed choice of one row of one grant, for one mission version.
+
+    Args:
+        mid: the mission.
+        version: its version.
+        mission: digest of the signed mission.
+        grant: the grant.
+        row: index of the row among its alternatives.
+        expires_ms: trusted time after which the choice is not taken in.
+    """
+
+    mid: MissionId
+    version: Positive
+    mission: Digest
+    grant: GrantId
+    row: Count
+    expires_ms: Count
+
+
+def answer(
+    verified: VerifiedMission,
+    grant: GrantId,
+    request: ApprovalRequest,
+    *,
+    rid: RobotId,
+    verdict: Verdict,
+) -> Approval:
+    """Return what an approver signs to answer a request; it lives as long as the request."""
+    return Approval(
+        mid=verified.mission.mid,
+        version=verified.mission.version,
+        mission=verified.digest,
+        rid=rid,
+        grant=grant,
+        scope=request.scope,
+        situation=request.situation,
+        counter=request.counter,
+        expires_ms=request.expires_ms,
+        verdict=verdict,
+    )
+
+
+def open_approval(data: bytes, *, verifier: Verifier, now: Now) -> VerifiedApproval:
+    """Return an approval once its signature holds; whether it fits is decided at use.
+
+    Raises:
+        MalformedError: no canonical approval.
+        AuthenticityError: certificate or signature does not hold.
+    """
+    approval, _, principal = open_token(
+        data, Approval, tag=Tag.APPROVAL, roles=APPROVER_ROLES, verifier=verifier, now=now
+    )
+    return VerifiedApproval(approval=approval, approver=principal)
+
+
+def open_selection(data: bytes, *, verifier: Verifier, now: Now) -> tuple[Selection, Principal]:
+    """Return a selection once its signature holds, with who signed it.
+
+    Raises:
+        MalformedError: no canonical selection.
+        AuthenticityError: certificate or signature does not hold.
+    """
+    selection, _, principal = open_token(
+        data, Selection, tag=Tag.SELECTION, roles=APPROVER_ROLES, verifier=verifier, now=now
+    )
+    return selection, principal

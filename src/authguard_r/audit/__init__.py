@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The audit log: record v1, chain, offline verification."""

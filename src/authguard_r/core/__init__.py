@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The trusted core: pure, total, readable in an evening. See docs/explanation/architecture.md."""

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Step 7: are enough principals behind this very action, in this very situation?
+
+Source: `eq:threshold`, `alg:authguard` (ApprovalValid), theorem "High-risk approval".
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from authguard_r.core.action import scope_of
+from authguard_r.core.approval import Verdict, VerifiedApproval
+from authguard_r.core.checks.case import Case
+from authguard_r.core.checks.guards import guard_finding
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.finding import Finding, Findings
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.mission import Grant
+from authguard_r.core.reasons import Reason
+from authguard_r.core.risk import required, rho, tier_of
+from authguard_r.core.standing import ApprovalRequest
+
+
+class Need(Struct, frozen=True, kw_only=True):
+    """How many principals are needed, and what their approvals must be bound to."""
+
+    risk: int
+    required: int
+    scope: Digest
+    situation: Digest
+
+
+class Situation(Struct, frozen=True, kw_only=True):
+    """What an approver judged: which guards held, and the line of `eq:threshold`."""
+
+    guards: tuple[bool, ...]
+    tier: int
+
+
+def assess_need(case: Case, grant: Grant) -> Need:
+    """Return Req(a, s) and the digests that approvals must carry, computed afresh."""
+    policy = case.verified.mission.risk_policy
+    score = rho(case.action, policy, state=case.state, facts=case.facts, now=case.now)
+    tier = tier_of(policy, score)
+    guards = (*case.verified.mission.guards, *grant.guards)
+    rid = case.facts.robot.rid
+    truth = tuple(guard_finding(g, case.state, rid, case.now) is None for g in guards)
+    return Need(
+        risk=score,
+        required=required(policy, tier),
+        scope=digest_of(Tag.SCOPE, scope_of(case.action)),
+        situation=digest_of(Tag.SITUATION, Situation(guards=truth, tier=int(tier))),
+    )
+
+
+def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
+    """(7) Req(a, s) - 1 principals beside the issuer approved; nobody denied."""
+    if need.required <= 1:
+        return ()
+    request = case.standing.requests.get(grant.id) if case.standing is not None else None
+    if request is None or (request.scope, request.situation) != (need.scope, need.situation):
+        return (_finding(Reason.APPROVAL_REQUIRED, need.required, "no open request"),)
+    if case.now.utc_ms > request.expires_ms:
+        return (_finding(Reason.APPROVAL_TIMEOUT, need.required, "the request ran out"),)
+    fitting = [a for a in case.approvals if _fits(a, case, grant, request)]
+    if any(a.approval.verdict is Verdict.DENY for a in fitting):
+        return (_finding(Reason.APPROVAL_DENIED, need.required, "a principal denied"),)
+    approvers = {a.approver.id for a in fitting}
+    if len(approvers) >= need.required - 1:
+        return ()
+    return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{len(approvers) + 1} of them"),)
+
+
+def _fits(item: VerifiedApproval, case: Case, grant: Grant, request: ApprovalRequest) -> bool:
+    """True when the approval is bound to this request in every field and its signer may answer."""
+    approval, mission = item.approval, case.verified.mission
+    bound = (
+        approval.mid == mission.mid
+        and approval.version == mission.version
+        and approval.mission == case.verified.digest
+        and approval.rid == case.facts.robot.rid
+        and approval.grant == grant.id
+        and approval.scope == request.scope
+        and approval.situation == request.situation
+        and approval.counter == request.counter
+    )
+    in_time = case.now.utc_ms <= min(approval.expires_ms, item.approver.usable_until_ms)
+    eligible = (
+        item.approver.role in mission.risk_policy.roles and item.approver.id != mission.issuer
+    )
+    return bound and in_time and eligible
+
+
+def _finding(reason: Reason, count: int, got: str) -> Finding:
+    return Finding("approvals", reason, f"{count} principals, the issuer included", got)

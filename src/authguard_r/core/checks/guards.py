@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conditions on attested state: present, of this robot, from a trusted sensor, fresh, true.
+
+Absent is not compliant. Types are compared before values: `true` is not 1, "3" is not 3.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+
+from authguard_r.core.finding import Finding
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.mission import Comparison, Guard
+from authguard_r.core.provenance import Label
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.state import AttestedState, Pose, Reading, age_ms
+
+_ORDERED: dict[Comparison, Callable[[int, int], bool]] = {
+    Comparison.LT: operator.lt,
+    Comparison.LE: operator.le,
+    Comparison.GT: operator.gt,
+    Comparison.GE: operator.ge,
+}
+
+
+def guard_finding(
+    guard: Guard, state: AttestedState | None, rid: RobotId, now: Now
+) -> Finding | None:
+    """Return why the guard does not hold, or None when it does.
+
+    Args:
+        guard: the signed condition.
+        state: what an estimator attested, None when nothing was.
+        rid: the robot that the state must speak of.
+        now: the instant at which freshness is measured.
+    """
+    field = f"state.{guard.variable}"
+    reading = state.snapshot.readings.get(guard.variable) if state is not None else None
+    unfit = unfit_finding(
+        field, reading, state=state, rid=rid, now=now, max_age_ms=guard.max_age_ms
+    )
+    if unfit is not None or reading is None:
+        return unfit
+    if _holds(guard, reading.value):
+        return None
+    return Finding(
+        field, Reason.GUARD_FALSE, f"{guard.comparison} {guard.value}", str(reading.value)
+    )
+
+
+def unfit_finding(
+    field: str,
+    reading: Reading | Pose | None,
+    *,
+    state: AttestedState | None,
+    rid: RobotId,
+    now: Now,
+    max_age_ms: int,
+) -> Finding | None:
+    """Return why a value may not be relied on, or None when it may."""
+    if state is not None and state.snapshot.robot != rid:
+        return Finding(field, Reason.STATE_FOREIGN, rid, state.snapshot.robot)
+    if state is None or reading is None:
+        return Finding(field, Reason.STATE_MISSING, "an attested value", "none")
+    if reading.label is not Label.TRUSTED_SENSOR:
+        return Finding(field, Reason.STATE_UNTRUSTED, Label.TRUSTED_SENSOR, reading.label)
+    age = age_ms(state, reading, now)
+    if not 0 <= age <= max_age_ms:
+        return Finding(field, Reason.STATE_STALE, f"at most {max_age_ms} ms old", f"{age} ms")
+    return None
+
+
+def _holds(guard: Guard, value: object) -> bool:
+    if type(value) is not type(guard.value):
+        return False
+    if guard.comparison is Comparison.EQ:
+        return value == guard.value
+    if guard.comparison is Comparison.NE:
+        return value != guard.value
+    if type(value) is not int or type(guard.value) is not int:
+        return False
+    return _ORDERED[guard.comparison](value, guard.value)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of the mission itself: steps 1 to 5, and the ceilings of step 6.
+
+Steps 1 to 3 were done when the token was verified (`core.token`); what can change afterwards,
+the certificates' end and the clock, is checked again for every action.
+"""
+
+from __future__ import annotations
+
+from authguard_r.core.checks.case import Case
+from authguard_r.core.checks.guards import guard_finding
+from authguard_r.core.finding import Finding, Findings
+from authguard_r.core.lifecycle import REFUSAL
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
+
+
+def check_certificate(case: Case) -> Findings:
+    """(1) The issuer's certificates and revocation list are still in time."""
+    until = case.verified.issuer.usable_until_ms
+    if case.now.utc_ms <= until:
+        return ()
+    return (
+        Finding(
+            "mission.issuer",
+            Reason.CERTIFICATE_EXPIRED,
+            f"at most {to_timestamp(until)}",
+            to_timestamp(case.now.utc_ms),
+        ),
+    )
+
+
+def check_time(case: Case) -> Findings:
+    """(3) not_before <= t <= expiry; t = expiry is still in time, as in the paper."""
+    verified, now = case.verified, case.now.utc_ms
+    if now < verified.not_before_ms:
+        reason, expected = Reason.NOT_YET_VALID, f"at least {verified.mission.not_before}"
+    elif now > verified.expiry_ms:
+        reason, expected = Reason.EXPIRED, f"at most {verified.mission.expiry}"
+    else:
+        return ()
+    return (Finding("now", reason, expected, to_timestamp(now)),)
+
+
+def check_registry(case: Case) -> Findings:
+    """(4) The registry knows this very version, and it is active (or closing)."""
+    standing, mission = case.standing, case.verified.mission
+    if standing is None or standing.mid != mission.mid:
+        reason, got = Reason.MISSION_UNKNOWN, "no entry"
+    elif standing.digest != case.verified.digest:
+        newer = standing.version > mission.version
+        reason = Reason.SUPERSEDED if newer else Reason.MISSION_UNKNOWN
+        got = f"version {standing.version}"
+    elif standing.status in REFUSAL:
+        reason, got = REFUSAL[standing.status], str(standing.status)
+    else:
+        return ()
+    expected = f"`{mission.mid}` version {mission.version} active"
+    return (Finding("mission", reason, expected, got),)
+
+
+def check_robot(case: Case) -> Findings:
+    """(5) The mission names this robot, its capability profile and this site."""
+    mission, facts = case.verified.mission, case.facts
+    robot = facts.robot
+    if (
+        mission.rid == robot.rid
+        and mission.profile == robot.profile
+        and mission.site == facts.digest
+    ):
+        return ()
+    held = (
+        ("mission.rid", Reason.ROBOT_MISMATCH, mission.rid, robot.rid),
+        ("mission.profile", Reason.PROFILE_MISMATCH, mission.profile, robot.profile),
+        ("mission.site", Reason.SITE_MISMATCH, mission.site, facts.digest),
+    )
+    return tuple(
+        Finding(field, reason, str(signed), str(local))
+        for field, reason, signed, local in held
+        if signed != local
+    )
+
+
+def check_meta(case: Case) -> Findings:
+    """(6) The action was taken in under this version; an update in between makes it another."""
+    meta, mission = case.action.meta, case.verified.mission
+    if meta is None or (meta.mission == mission.mid and meta.mission_version == mission.version):
+        return ()
+    return (
+        Finding(
+            "meta.mission",
+            Reason.META_MISMATCH,
+            f"{mission.mid} version {mission.version}",
+            f"{meta.mission} version {meta.mission_version}",
+        ),
+    )
+
+
+def check_capability(case: Case) -> Findings:
+    """(6) The robot's profile can do this type with this tool, and the type can be granted."""
+    action = case.action
+    tools = case.facts.robot.tools.get(action.type)
+    if case.kind is None or case.kind.state_writing or tools is None:
+        field, expected, got = "type", "a type that this robot can do", str(action.type)
+    elif action.tool not in tools:
+        field, expected, got = "tool", " or ".join(sorted(tools)), str(action.tool)
+    else:
+        return ()
+    return (Finding(field, Reason.CAPABILITY_EXCEEDED, expected, got),)
+
+
+def check_ceilings(case: Case) -> Findings:
+    """(6) Object, places and parameters lie under the mission-wide ceilings."""
+    action, verified = case.action, case.verified
+    found: list[Finding] = []
+    if action.object is not None and action.object not in verified.objects:
+        found.append(_outside("object", Reason.OBJECT_OUT_OF_SCOPE, action.object))
+    places = (
+        ("source", Reason.SOURCE_OUT_OF_SCOPE, action.source),
+        ("destination", Reason.DESTINATION_OUT_OF_SCOPE, action.destination),
+    )
+    found += [
+        _outside(field, reason, region)
+        for field, reason, region in places
+        if region is not None and region not in verified.regions
+    ]
+    found += [
+        _outside(f"route[{number}]", Reason.ROUTE_OUT_OF_SCOPE, region)
+        for number, region in enumerate(action.route)
+        if region not in verified.regions
+    ]
+    for parameter, limit in verified.limits.items():
+        value = action.params.get(parameter, limit.low)
+        if not limit.low <= value <= limit.high:
+            found.append(
+                Finding(
+                    f"params.{parameter}",
+                    Reason.PARAMETER_OUT_OF_BOUNDS,
+                    f"{limit.low} to {limit.high} in this mission",
+                    str(value),
+                )
+            )
+    return tuple(found)
+
+
+def check_mission_guards(case: Case) -> Findings:
+    """(6) Every mission-wide guard holds on attested, fresh state."""
+    rid = case.facts.robot.rid
+    found = (guard_finding(g, case.state, rid, case.now) for g in case.verified.mission.guards)
+    return tuple(finding for finding in found if finding is not None)
+
+
+def _outside(field: str, reason: Reason, got: str) -> Finding:
+    return Finding(field, reason, "inside the mission's ceilings", got)

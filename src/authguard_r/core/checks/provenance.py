@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who chose: a value may be inside the signed rows and still be nobody's authorized choice.
+
+The label of a field is never read from the planner and never rests on text matching. A field is
+the operator's when the mission leaves one value for it, the chooser's when a signed selection
+names the row, the sensor's when attested state leaves one row; else it is only as trusted as the
+least trusted thing the planner could have seen.
+
+Source: section "Provenance Policy", theorem "Privileged-field noninterference".
+Spec page: docs/spec/provenance.md
+"""
+
+from __future__ import annotations
+
+from authguard_r.core.action import Action
+from authguard_r.core.checks.case import Case
+from authguard_r.core.finding import Finding, Findings
+from authguard_r.core.mission import Grant, Row
+from authguard_r.core.provenance import Chooser, Label
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Standing
+from authguard_r.core.token import IndexedGrant, VerifiedMission
+
+#: The fields that a choice among rows settles. The source is settled by attested state, the route
+#: by the row's regions.
+CHOSEN = ("object", "destination")
+
+
+def check_provenance(case: Case, indexed: IndexedGrant) -> Findings:
+    """(6) Each chosen field has a label that may choose it."""
+    grant = indexed.grant
+    if len(grant.alternatives) == 1 or grant.chooser is Chooser.PLANNER:
+        return ()
+    rows = open_rows(grant, case.standing, case.action.source)
+    return tuple(
+        Finding(
+            field,
+            Reason.PROVENANCE_DENIED,
+            f"a choice by {grant.chooser}",
+            f"{getattr(case.action, field)} ({case.action.provenance.get(field, Label.MODEL)})",
+        )
+        for field in CHOSEN
+        if len({getattr(row, field) for row in rows}) > 1
+    )
+
+
+def open_rows(grant: Grant, standing: Standing | None, source: str | None) -> tuple[Row, ...]:
+    """Return the rows that are left once selection and source are taken into account.
+
+    The source counts because it must equal the attested place: a wrong one is refused anyway.
+    """
+    rows = selectable_rows(grant, standing)
+    same = tuple(row for row in rows if row.source is None or row.source == source)
+    return same or rows
+
+
+def selectable_rows(grant: Grant, standing: Standing | None) -> tuple[Row, ...]:
+    """Return the rows that may match: the selected one when there is a selection."""
+    index = standing.selected.get(grant.id) if standing is not None else None
+    if index is None or not 0 <= index < len(grant.alternatives):
+        return grant.alternatives
+    return (grant.alternatives[index],)
+
+
+def label_fields(
+    action: Action, verified: VerifiedMission | None, standing: Standing | None, *, base: Label
+) -> dict[str, Label]:
+    """Return the label of every privileged field that the action has.
+
+    Args:
+        action: the proposal, its names already resolved.
+        verified: the mission it will be held against, None when there is none.
+        standing: for signed selections.
+        base: the least trusted label of anything the planner could have seen.
+    """
+    labels: dict[str, Label] = {}
+    for field in ("object", "source", "destination", "route"):
+        value = getattr(action, field)
+        if value is None or value == ():
+            continue
+        labels[field] = base
+        if verified is not None and field in CHOSEN and _fixed(field, action, verified, standing):
+            labels[field] = Label.OPERATOR
+    return labels
+
+
+def _fixed(
+    field: str, action: Action, verified: VerifiedMission, standing: Standing | None
+) -> bool:
+    """True when the mission leaves exactly this value for the field of this action type."""
+    left = {
+        getattr(row, field)
+        for indexed in verified.by_type.get(action.type, ())
+        for row in open_rows(indexed.grant, standing, action.source)
+    }
+    return left == {getattr(action, field)}

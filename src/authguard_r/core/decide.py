@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The decision: `alg:authguard`, its steps numbered as in the paper.
+
+    (1) certificate      verified with the token; its end is checked again here, and stops
+    (2) signature        verified with the token: a `VerifiedMission` exists
+    (3) schema and time  schema with the token; not_before <= t <= expiry here
+    (4) registry         known, this version, active
+    (5) robot            id, profile and site are this gate's own
+    (6) policy           a in Pi_M(s, t): ceilings, then the first grant and row that fit
+    (7) approval         enough principals behind this action in this situation
+    (8) update, append   the enforcer's: `enforcement` commits what is decided here
+    (9) accept           only when nothing at all was found
+
+Pure, total and deterministic. Every violation of steps 3 to 7 is a finding; the first in paper
+order is primary. Spec page: docs/spec/decision.md
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from msgspec import Struct
+
+from authguard_r.core.action import Action
+from authguard_r.core.approval import VerifiedApproval
+from authguard_r.core.checks import (
+    GRANT_CHECKS,
+    MISSION_CHECKS,
+    ROW_CHECKS,
+    Case,
+    check_certificate,
+)
+from authguard_r.core.checks.approval import Need, assess_need, check_approval
+from authguard_r.core.checks.provenance import selectable_rows
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.finding import Finding, Findings, in_paper_order
+from authguard_r.core.mission import Row
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import RETRYABLE, Reason
+from authguard_r.core.standing import Standing
+from authguard_r.core.state import AttestedState
+from authguard_r.core.token import IndexedGrant, VerifiedMission
+
+
+class Verdict(StrEnum):
+    """The three answers of `alg:authguard`."""
+
+    ACCEPT = "accept"
+    REJECT = "reject"
+    REQUEST_APPROVAL = "request_approval"
+
+
+class Match(Struct, frozen=True, kw_only=True):
+    """The grant and row that fit best, and what still speaks against them."""
+
+    indexed: IndexedGrant
+    row: Row
+    findings: Findings
+
+
+class Decision(Struct, frozen=True, kw_only=True):
+    """What the gate decided and why. Not a truth value: read `verdict`.
+
+    Args:
+        verdict: the answer.
+        findings: every violated condition, primary first; empty exactly for `accept`.
+        match: the grant and row that the action was held against; None when step 1 stopped.
+        need: how many principals it takes, and what they must sign; None when step 1 stopped.
+    """
+
+    verdict: Verdict
+    findings: Findings
+    match: Match | None
+    need: Need | None
+
+    def __bool__(self) -> bool:
+        msg = "a decision has no truth value; compare `.verdict`"
+        raise TypeError(msg)
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """The codes of the findings, primary first, each once."""
+        return tuple(dict.fromkeys(finding.reason for finding in self.findings))
+
+    @property
+    def retryable(self) -> bool:
+        """True when the same proposal may pass later without a new signature."""
+        return bool(self.findings) and all(f.reason in RETRYABLE for f in self.findings)
+
+
+def decide(
+    verified: VerifiedMission,
+    action: Action,
+    *,
+    state: AttestedState | None,
+    facts: SiteFacts,
+    now: Now,
+    standing: Standing | None,
+    approvals: tuple[VerifiedApproval, ...] = (),
+) -> Decision:
+    """Return whether the action is in Pi_M(s, t) and enough principals approved it.
+
+    Args:
+        verified: the mission; the only source of authority.
+        action: the proposal; anybody may have written it.
+        state: attested state; a request never carries one.
+        facts: the signed site and the gate's own identity.
+        now: read once by the caller.
+        standing: the registry's entry for this mission, read in the same turn.
+        approvals: authentic answers; those that do not fit are not counted.
+
+    Source: `alg:authguard`, `eq:auth-predicate`.
+    """
+    case = Case(
+        verified=verified,
+        action=action,
+        kind=facts.vocabulary.get(action.type),
+        state=state,
+        facts=facts,
+        now=now,
+        standing=standing,
+        approvals=approvals,
+    )
+    # (1) certificate, (2) signature, (3) schema: the token's; a certificate that ended stops
+    ended = check_certificate(case)
+    if ended:
+        return Decision(verdict=Verdict.REJECT, findings=ended, match=None, need=None)
+    # (3) time, (4) registry, (5) robot, (6) ceilings
+    found: list[Finding] = []
+    for check in MISSION_CHECKS:
+        found += check(case)
+    # (6) policy
+    match = find_match(case)
+    found += match.findings
+    # (7) approval
+    need = assess_need(case, match.indexed.grant)
+    found += check_approval(case, match.indexed.grant, need)
+    # (8) update and append: `enforcement`
+    if not found:
+        # (9) accept
+        return Decision(verdict=Verdict.ACCEPT, findings=(), match=match, need=need)
+    findings = in_paper_order(tuple(found))
+    only_approval = all(f.reason is Reason.APPROVAL_REQUIRED for f in findings)
+    verdict = Verdict.REQUEST_APPROVAL if only_approval else Verdict.REJECT
+    return Decision(verdict=verdict, findings=findings, match=match, need=need)
+
+
+def find_match(case: Case) -> Match:
+    """Return the first grant in signed order without findings, else the one with fewest.
+
+    Ties go to signed order. Only grants of the action's type can be without findings, so they are
+    tried alone first; the answer is the same, a refusal just looks at all.
+    """
+    best: Match | None = None
+    for indexed in case.verified.by_type.get(case.action.type, ()):
+        match = _match(case, indexed)
+        if not match.findings:
+            return match
+    for indexed in case.verified.grants:
+        match = _match(case, indexed)
+        if best is None or len(match.findings) < len(best.findings):
+            best = match
+    if best is None:  # pragma: no cover - the schema demands one grant
+        raise RuntimeError("a mission without grants was verified")
+    return best
+
+
+def _match(case: Case, indexed: IndexedGrant) -> Match:
+    own: list[Finding] = []
+    for check in GRANT_CHECKS:
+        own += check(case, indexed)
+    best: tuple[Row, list[Finding]] | None = None
+    for row in selectable_rows(indexed.grant, case.standing):
+        found: list[Finding] = []
+        for row_check in ROW_CHECKS:
+            found += row_check(case, row)
+        if best is None or len(found) < len(best[1]):
+            best = (row, found)
+        if not found:
+            break
+    if best is None:  # pragma: no cover - the schema demands one row
+        raise RuntimeError("a grant without rows was verified")
+    return Match(indexed=indexed, row=best[0], findings=(*own, *best[1]))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the signed site model tells the decision, in the shape that the decision reads.
+
+Built by `site` from the signed model and by `assembly` from the gate's certificate; nothing here
+comes from a request. Spec page: docs/spec/site-model.md
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from authguard_r.core.geometry import Polygon
+from authguard_r.core.identifiers import (
+    ActionType,
+    Digest,
+    ObjectId,
+    ParameterId,
+    RegionId,
+    RobotId,
+    ToolId,
+    VariableId,
+)
+
+
+class ParameterKind(Struct, frozen=True, kw_only=True):
+    """One parameter of an action type.
+
+    Args:
+        low: smallest value that the type can have at all.
+        high: largest value that the type can have at all.
+        required: an action of the type is malformed without it.
+        monitored_by: attested state variable that shows the real value while the robot moves.
+    """
+
+    low: int
+    high: int
+    required: bool
+    monitored_by: VariableId | None = None
+
+
+class ActionKind(Struct, frozen=True, kw_only=True):
+    """One canonical action type of the site's vocabulary.
+
+    Args:
+        fields: which of object, source, destination, route an action of this type has.
+        params: its parameters.
+        moves: it moves the robot, so its lease counts against the motion budget.
+        waits: it waits on purpose, so its lease counts against the waiting budget.
+        records: it records sensor data; `max_bytes` is then required and data rights are checked.
+        stores: it keeps what it recorded beyond the action.
+    transmits: it also sends what it recorded away from the robot.
+        privacy: privacy impact, 0 (none) to 3.
+        state_writing: it changes what the robot believes and can never be granted.
+    """
+
+    fields: frozenset[str]
+    params: dict[ParameterId, ParameterKind]
+    moves: bool = False
+    waits: bool = False
+    records: bool = False
+    stores: bool = False
+    transmits: bool = False
+    privacy: int = 0
+    state_writing: bool = False
+
+
+class RegionFacts(Struct, frozen=True):
+    """One region: its shape and the tags that the risk policy weighs."""
+
+    area: Polygon
+    tags: frozenset[str]
+
+
+class RobotFacts(Struct, frozen=True, kw_only=True):
+    """Who this gate guards and what the robot can do.
+
+    Args:
+        rid: the robot id in the gate's own certificate, from nowhere else.
+        profile: digest of the capability profile named by that certificate.
+        tools: for each action type that the robot can do, the tools that can do it.
+    """
+
+    rid: RobotId
+    profile: Digest
+    tools: dict[ActionType, frozenset[ToolId]]
+
+
+class SiteFacts(Struct, frozen=True, kw_only=True):
+    """The site model as the decision reads it; `digest` is the one a mission binds."""
+
+    digest: Digest
+    robot: RobotFacts
+    regions: dict[RegionId, RegionFacts]
+    objects: dict[ObjectId, str]
+    vocabulary: dict[ActionType, ActionKind]

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which regions an uncertain position may lie in, in exact integers.
+
+Floats never decide authority: a rounding error at a wall would. All coordinates are millimeters.
+Spec page: docs/spec/state.md#place
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+Point = tuple[int, int]
+
+
+class Polygon(Struct, frozen=True):
+    """A simple polygon on one floor of one map, with its bounding box.
+
+    Args:
+        map: the map whose frame the coordinates are in.
+        floor: the floor; two floors never share a region.
+        points: corners in order, at least three, not closed.
+    """
+
+    map: str
+    floor: int
+    points: tuple[Point, ...]
+    low: Point
+    high: Point
+
+
+def polygon(map_id: str, floor: int, points: tuple[Point, ...]) -> Polygon:
+    """Return the polygon with its bounding box worked out."""
+    xs = [x for x, _ in points]
+    ys = [y for _, y in points]
+    return Polygon(map_id, floor, points, (min(xs), min(ys)), (max(xs), max(ys)))
+
+
+def may_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
+    """True when some position within `margin_mm` of `point` lies in the polygon or on its edge.
+
+    Wrong reading: true does not mean the robot is inside; it means nobody can say it is not.
+    """
+    x, y = point
+    if not (area.low[0] - margin_mm <= x <= area.high[0] + margin_mm):
+        return False
+    if not (area.low[1] - margin_mm <= y <= area.high[1] + margin_mm):
+        return False
+    edges = list(zip(area.points, area.points[1:] + area.points[:1], strict=True))
+    if _inside(edges, point):
+        return True
+    return any(_within(a, b, point, margin_mm) for a, b in edges)
+
+
+def _inside(edges: list[tuple[Point, Point]], point: Point) -> bool:
+    """Even-odd rule on integers; the edge itself is caught by the distance test with margin 0."""
+    x, y = point
+    odd = False
+    for (ax, ay), (bx, by) in edges:
+        if (ay > y) == (by > y):
+            continue
+        cross = (bx - ax) * (y - ay) - (x - ax) * (by - ay)
+        if (cross > 0) == (by > ay):
+            odd = not odd
+    return odd
+
+
+def _within(a: Point, b: Point, point: Point, margin_mm: int) -> bool:
+    """True when the segment from `a` to `b` comes within the margin of `point`."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    px, py = point[0] - a[0], point[1] - a[1]
+    along = px * dx + py * dy
+    length2 = dx * dx + dy * dy
+    if along <= 0:
+        return px * px + py * py <= margin_mm * margin_mm
+    if along >= length2:
+        qx, qy = point[0] - b[0], point[1] - b[1]
+        return qx * qx + qy * qy <= margin_mm * margin_mm
+    cross = px * dy - py * dx
+    return cross * cross <= margin_mm * margin_mm * length2

@@ -1,0 +1,365 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mission language: everything that a signature can grant, and nothing that it can imply.
+
+Absent never means anything: no limit, no parameter; no list, nothing; granting a region grants
+no child. Source: `eq:mission`. Spec page: docs/spec/mission-language.md
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Iterable, Iterator
+from enum import StrEnum
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import (
+    ActionType,
+    Count,
+    Digest,
+    GrantId,
+    Identifier,
+    Integer,
+    MissionId,
+    ObjectId,
+    ParameterId,
+    Positive,
+    PrincipalId,
+    RegionId,
+    RobotId,
+    Timestamp,
+    ToolId,
+    VariableId,
+)
+from authguard_r.core.provenance import Chooser
+from authguard_r.core.quantities import to_ms
+from authguard_r.core.reasons import Reason
+
+MAX_GRANTS = 64
+MAX_ROWS = 256
+
+
+class Comparison(StrEnum):
+    """How a guard compares an attested value with a signed one."""
+
+    EQ = "eq"
+    NE = "ne"
+    LT = "lt"
+    LE = "le"
+    GT = "gt"
+    GE = "ge"
+
+
+class OnRefusal(StrEnum):
+    """What the enforcer does after a refusal: hold still, stop the run, or ask the operator."""
+
+    HOLD = "hold"
+    STOP = "stop"
+    ASK = "ask"
+
+
+class _Signed(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """The manner of every signed struct: closed, immutable, one spelling."""
+
+
+class Row(_Signed, frozen=True, kw_only=True):
+    """One alternative of a grant: these fields together, never a cross product.
+
+    Args:
+        object: the object; absent when the action type has none.
+        source: where the action starts.
+        destination: where it ends.
+        regions: everything that the robot may touch on the way, source and destination included.
+    """
+
+    object: ObjectId | None = None
+    source: RegionId | None = None
+    destination: RegionId | None = None
+    regions: tuple[RegionId, ...] = ()
+
+
+class Limit(_Signed, frozen=True, kw_only=True):
+    """Closed bounds of one parameter, in the unit that its name ends with."""
+
+    parameter: ParameterId
+    low: Integer
+    high: Integer
+
+
+class Guard(_Signed, frozen=True, kw_only=True):
+    """A condition on attested state that must hold at the decision and while the robot acts.
+
+    Args:
+        variable: the state variable.
+        comparison: how the attested value compares with `value`.
+        value: an integer, truth value or identifier; types must agree, order only on integers.
+        max_age_ms: how old the reading may be, in milliseconds.
+    """
+
+    variable: VariableId
+    comparison: Comparison
+    value: Integer | bool | Identifier
+    max_age_ms: Count
+
+
+class DataRights(_Signed, frozen=True, kw_only=True):
+    """What may be done with sensor data; each right is separate, none implies another."""
+
+    record: bool = False
+    store: bool = False
+    transmit: bool = False
+
+
+class Grant(_Signed, frozen=True, kw_only=True):
+    """One permission: an action type by a tool, over rows, within limits, so often.
+
+    Args:
+        id: name that standing, order and updates refer to.
+        type: the canonical action type.
+        tool: the tool that may carry it out.
+        alternatives: the rows; the action must match one whole row.
+        limits: bounds for every parameter that an action may carry; others may not be carried.
+        guards: conditions beside the mission's own.
+        data: data rights.
+        chooser: who may choose among rows.
+        after: grants that must have succeeded since this one's last success.
+        until: grants whose success closes this one.
+        repeat: successes allowed.
+        starts: releases allowed, at least `repeat`.
+        max_ms: longest lease of one release, in milliseconds.
+        irreversible: a start is never given back.
+        done_when: attested postcondition that settles an unknown outcome.
+        completes: the mission is complete when every such grant has all its successes.
+    """
+
+    id: GrantId
+    type: ActionType
+    tool: ToolId
+    alternatives: Annotated[tuple[Row, ...], Meta(min_length=1, max_length=MAX_ROWS)]
+    chooser: Chooser
+    repeat: Positive
+    starts: Positive
+    max_ms: Positive
+    irreversible: bool
+    limits: tuple[Limit, ...] = ()
+    guards: tuple[Guard, ...] = ()
+    data: DataRights = DataRights()
+    after: tuple[GrantId, ...] = ()
+    until: tuple[GrantId, ...] = ()
+    done_when: tuple[Guard, ...] = ()
+    completes: bool = False
+
+
+class Rate(_Signed, frozen=True, kw_only=True):
+    """At most `count` releases in any `per_ms` milliseconds of the gate's monotonic clock."""
+
+    count: Positive
+    per_ms: Positive
+
+
+class Budgets(_Signed, frozen=True, kw_only=True):
+    """Mission-wide totals; zero is zero, not unlimited.
+
+    Args:
+        actions: releases in all.
+        rate: releases in a window.
+        motion_ms: time in motion, milliseconds.
+        wait_ms: time in deliberate waiting, milliseconds.
+        recorded_bytes: sensor data recorded, bytes.
+        prompts: times that a person may be asked.
+        planner_stops: stops that the planner may ask for before an alert.
+    """
+
+    actions: Count
+    rate: Rate
+    motion_ms: Count
+    wait_ms: Count
+    recorded_bytes: Count
+    prompts: Count
+    planner_stops: Count
+
+
+class ParameterRisk(_Signed, frozen=True, kw_only=True):
+    """Adds `weight` times the parameter's share of `full_scale`, rounded up."""
+
+    parameter: ParameterId
+    full_scale: Positive
+    weight: Count
+
+
+class StateRisk(_Signed, frozen=True, kw_only=True):
+    """Adds `weight` while the condition holds, or while nobody can attest that it does not."""
+
+    guard: Guard
+    weight: Count
+
+
+class RiskPolicy(_Signed, frozen=True, kw_only=True):
+    """The weights of rho(a,s) and the thresholds of `eq:threshold`.
+
+    Args:
+        types: weight by action type.
+        region_tags: weight by region tag; the heaviest tag of all regions involved counts.
+        object_classes: weight by object class.
+        parameters: weight of forceful parameters.
+        privacy: weight of each step of the type's privacy impact.
+        states: weight of states of the world.
+        otherwise: weight of a type, tag or class that is not listed.
+        tau_1: from here on two principals must approve.
+        tau_2: from here on `t` principals must approve.
+        t: number of principals, the issuer included, at least 2.
+        roles: roles whose holders may approve.
+        valid_ms: how long a request and its approvals live, in milliseconds.
+    """
+
+    otherwise: Count
+    tau_1: Count
+    tau_2: Count
+    t: Annotated[int, Meta(ge=2, le=64)]
+    roles: Annotated[tuple[Identifier, ...], Meta(min_length=1)]
+    privacy: Count
+    valid_ms: Positive
+    types: dict[ActionType, Count] = {}
+    region_tags: dict[Identifier, Count] = {}
+    object_classes: dict[Identifier, Count] = {}
+    parameters: tuple[ParameterRisk, ...] = ()
+    states: tuple[StateRisk, ...] = ()
+
+
+class Closing(_Signed, frozen=True, kw_only=True):
+    """Grants that stay open for a while after completion, such as going home."""
+
+    grants: Annotated[tuple[GrantId, ...], Meta(min_length=1)]
+    for_ms: Positive
+
+
+class Mission(_Signed, frozen=True, kw_only=True):
+    """The signed policy Pi_M: the paper's thirteen fields, with site and profile bound.
+
+    Args:
+        schema: version of this language.
+        mid: the mission's name; with `version` it names one policy.
+        version: v, from 1.
+        supersedes: digest of version v-1; absent for version 1 only.
+        rid: the one robot.
+        profile: digest of the capability profile the mission was written for.
+        site: digest of the signed site model that gives the words their meaning.
+        issuer: the principal who signs.
+        task: the request in the operator's words; explains, never authorizes.
+        actions: the grants, in the order in which they are tried.
+        objects: ceiling: no grant reaches an object outside.
+        regions: ceiling: no grant reaches a region outside.
+        limits: ceilings on the parameters that they name.
+        guards: conditions on every action.
+        not_before: first second of validity.
+        expiry: last instant of validity; only t > expiry is refused.
+        place_max_age_ms: how old the attested place may be, in milliseconds.
+        nonce: 16 fresh random bytes.
+        risk_policy: who must approve what.
+        budgets: totals.
+        on_refusal: what happens after a refusal.
+        closing: grants that outlive completion.
+    """
+
+    schema: Literal["authguard-r/mission/1"]
+    mid: MissionId
+    version: Positive
+    rid: RobotId
+    profile: Digest
+    site: Digest
+    issuer: PrincipalId
+    task: Annotated[str, Meta(min_length=1, max_length=2000)]
+    actions: Annotated[tuple[Grant, ...], Meta(min_length=1, max_length=MAX_GRANTS)]
+    objects: tuple[ObjectId, ...]
+    regions: tuple[RegionId, ...]
+    limits: tuple[Limit, ...]
+    guards: tuple[Guard, ...]
+    not_before: Timestamp
+    expiry: Timestamp
+    place_max_age_ms: Count
+    nonce: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{22}\Z")]
+    risk_policy: RiskPolicy
+    budgets: Budgets
+    on_refusal: OnRefusal
+    supersedes: Digest | None = None
+    closing: Closing | None = None
+
+
+def require_schema(mission: Mission) -> None:
+    """Hold a decoded mission to the rules that its types cannot say (`SchemaValid`).
+
+    Raises:
+        MalformedError: with reason `SCHEMA_INVALID` and the place of the first fault.
+    """
+    for place, fault in _faults(mission):
+        raise MalformedError(fault, where=place, reason=Reason.SCHEMA_INVALID)
+
+
+def _faults(mission: Mission) -> Iterator[tuple[str, str]]:
+    if unicodedata.normalize("NFC", mission.task) != mission.task:
+        yield "task", "expected text in normalization form C"
+    if (mission.version == 1) != (mission.supersedes is None):
+        yield "supersedes", "expected the digest of the version before, and none for version 1"
+    if to_ms(mission.not_before, where="not_before") > to_ms(mission.expiry, where="expiry"):
+        yield "expiry", "expected an instant not before `not_before`"
+    if mission.risk_policy.tau_1 > mission.risk_policy.tau_2:
+        yield "risk_policy.tau_2", "expected at least `tau_1`"
+    yield from _sorted_sets(mission)
+    yield from _limits("limits", mission.limits)
+    known = {grant.id for grant in mission.actions}
+    if len(known) != len(mission.actions):
+        yield "actions", "expected grant ids that differ"
+    for number, grant in enumerate(mission.actions):
+        yield from _grant_faults(f"actions[{number}]", grant, known)
+    if mission.closing and not known.issuperset(mission.closing.grants):
+        yield "closing.grants", "expected ids of grants of this mission"
+
+
+def _sorted_sets(mission: Mission) -> Iterator[tuple[str, str]]:
+    named: list[tuple[str, Iterable[str]]] = [
+        ("objects", mission.objects),
+        ("regions", mission.regions),
+        ("risk_policy.roles", mission.risk_policy.roles),
+        ("closing.grants", mission.closing.grants if mission.closing else ()),
+    ]
+    for number, grant in enumerate(mission.actions):
+        place = f"actions[{number}]"
+        named += [(f"{place}.after", grant.after), (f"{place}.until", grant.until)]
+        named += [
+            (f"{place}.alternatives[{index}].regions", row.regions)
+            for index, row in enumerate(grant.alternatives)
+        ]
+    for place, items in named:
+        if not all(a < b for a, b in pairwise(items)):
+            yield place, "expected a sorted set without repeats"
+
+
+def _limits(place: str, limits: tuple[Limit, ...]) -> Iterator[tuple[str, str]]:
+    if not all(a.parameter < b.parameter for a, b in pairwise(limits)):
+        yield place, "expected limits sorted by parameter, one for each"
+    for number, limit in enumerate(limits):
+        if limit.low > limit.high:
+            yield f"{place}[{number}].high", "expected at least `low`"
+
+
+def _grant_faults(place: str, grant: Grant, known: set[GrantId]) -> Iterator[tuple[str, str]]:
+    if grant.starts < grant.repeat:
+        yield f"{place}.starts", "expected at least `repeat`"
+    for field, ids in (("after", grant.after), ("until", grant.until)):
+        if not known.issuperset(ids):
+            yield f"{place}.{field}", "expected ids of grants of this mission"
+    if grant.id in grant.after or grant.id in grant.until:
+        yield f"{place}.id", "expected a grant that does not wait for itself"
+    if len(set(grant.alternatives)) != len(grant.alternatives):
+        yield f"{place}.alternatives", "expected rows that differ"
+    yield from _limits(f"{place}.limits", grant.limits)
+    for index, row in enumerate(grant.alternatives):
+        ends = {region for region in (row.source, row.destination) if region is not None}
+        if not ends.issubset(row.regions):
+            yield (
+                f"{place}.alternatives[{index}].regions",
+                "expected to hold the row's source and destination",
+            )

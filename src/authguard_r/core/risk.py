@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How risky an action is in a state, and how many principals must approve it.
+
+The score reads the canonical action and the signed site, so a planner cannot lower it by naming
+things differently. Whatever is not listed weighs `otherwise`; whatever cannot be attested counts
+as risky. Source: `eq:threshold`, section "Risk-Adaptive Approval". Spec page: docs/spec/approval.md
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from authguard_r.core.action import Action
+from authguard_r.core.checks.guards import guard_finding
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.identifiers import RegionId
+from authguard_r.core.mission import RiskPolicy
+from authguard_r.core.quantities import Now
+from authguard_r.core.state import AttestedState
+
+
+class Tier(IntEnum):
+    """The three lines of `eq:threshold`."""
+
+    ORDINARY = 1
+    ELEVATED = 2
+    HIGH = 3
+
+
+def rho(
+    action: Action, policy: RiskPolicy, *, state: AttestedState | None, facts: SiteFacts, now: Now
+) -> int:
+    """Return how risky the action is here: 0 for not at all, no upper end."""
+    score = policy.types.get(action.type, policy.otherwise)
+    score += _region_weight(action, policy, facts)
+    if action.object is not None:
+        score += policy.object_classes.get(facts.objects.get(action.object, ""), policy.otherwise)
+    kind = facts.vocabulary.get(action.type)
+    score += policy.privacy * (kind.privacy if kind is not None else 3)
+    for risk in policy.parameters:
+        share = max(0, action.params.get(risk.parameter, 0))
+        score += -(-risk.weight * share // risk.full_scale)
+    for condition in policy.states:
+        # counted unless attested state shows that the condition is false
+        finding = guard_finding(condition.guard, state, facts.robot.rid, now)
+        if finding is None or finding.reason.startswith("STATE_"):
+            score += condition.weight
+    return score
+
+
+def tier_of(policy: RiskPolicy, score: int) -> Tier:
+    """Return the line of `eq:threshold` that the score falls on."""
+    if score < policy.tau_1:
+        return Tier.ORDINARY
+    return Tier.ELEVATED if score < policy.tau_2 else Tier.HIGH
+
+
+def required(policy: RiskPolicy, tier: Tier) -> int:
+    """Return Req(a, s): how many principals must stand behind the action, the issuer included."""
+    return {Tier.ORDINARY: 1, Tier.ELEVATED: 2, Tier.HIGH: policy.t}[tier]
+
+
+def _region_weight(action: Action, policy: RiskPolicy, facts: SiteFacts) -> int:
+    involved: set[RegionId] = set(action.route)
+    involved.update(r for r in (action.source, action.destination) if r is not None)
+    weights = [0]
+    for region in involved:
+        known = facts.regions.get(region)
+        if known is None:
+            weights.append(policy.otherwise)
+            continue
+        weights += [policy.region_tags.get(tag, policy.otherwise) for tag in known.tags]
+    return max(weights)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tokens: canonical bytes with the signatures over them, and the missions they prove.
+
+A token carries bytes, not an object. They are verified as bytes, decoded, encoded again and
+compared; only then is there a `VerifiedMission`. The algorithm comes from the certificate, never
+from the token. Source: `eq:signature`, `alg:authguard` steps 1 to 3. Spec page: docs/spec/token.md
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeVar
+
+from msgspec import Meta, Struct
+
+from authguard_r.core.encoding import Tag, decode, digest, encode_fast, unb64
+from authguard_r.core.errors import AuthenticityError, MalformedError
+from authguard_r.core.identifiers import (
+    ActionType,
+    Base64Url,
+    Digest,
+    Identifier,
+    ObjectId,
+    ParameterId,
+    PrincipalId,
+    RegionId,
+)
+from authguard_r.core.mission import Grant, Limit, Mission, require_schema
+from authguard_r.core.ports import Verifier
+from authguard_r.core.quantities import Now, to_ms
+from authguard_r.core.reasons import Reason
+
+T = TypeVar("T")
+
+
+class Endorsement(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One signature and the certificates that say whose it is.
+
+    Args:
+        chain: leaf certificate, then its role authority's, DER in base64url.
+        signature: over the 32 bytes of the payload's digest under the token's tag.
+    """
+
+    chain: Annotated[tuple[Base64Url, ...], Meta(min_length=2, max_length=2)]
+    signature: Base64Url
+
+
+class Token(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """T = (M, sigma, cert_U), for every kind of signed object.
+
+    Args:
+        kind: the tag that the signatures are bound to.
+        payload: the canonical bytes, base64url.
+        endorsements: at least one; each must verify.
+    """
+
+    kind: Tag
+    payload: Base64Url
+    endorsements: Annotated[tuple[Endorsement, ...], Meta(min_length=1, max_length=4)]
+
+
+class Principal(Struct, frozen=True, kw_only=True):
+    """Who a verified certificate speaks for. Made by a `Verifier` only.
+
+    Args:
+        id: the principal's id from the certificate.
+        role: the role in its extended key usage.
+        usable_until_ms: when its certificates or the revocation list end, whichever is first.
+    """
+
+    id: PrincipalId
+    role: Identifier
+    usable_until_ms: int
+
+
+class Verified(Struct, frozen=True):
+    """An authentic object with its digest and its signer; `value` is still only what was said."""
+
+    value: object
+    digest: Digest
+    signer: Principal
+
+
+class IndexedGrant(Struct, frozen=True):
+    """A grant with its limits keyed by parameter."""
+
+    grant: Grant
+    limits: dict[ParameterId, Limit]
+
+
+class VerifiedMission(Struct, frozen=True, kw_only=True):
+    """A mission whose certificate, signature and schema hold; steps 1 to 3 are behind it.
+
+    The type is the proof: only `verify_mission` makes one. Whether it is in time, active and for
+    this robot is decided anew for every action.
+    """
+
+    mission: Mission
+    digest: Digest
+    issuer: Principal
+    not_before_ms: int
+    expiry_ms: int
+    objects: frozenset[ObjectId]
+    regions: frozenset[RegionId]
+    limits: dict[ParameterId, Limit]
+    grants: tuple[IndexedGrant, ...]
+    by_type: dict[ActionType, tuple[IndexedGrant, ...]]
+
+
+def read_token(data: bytes) -> Token:
+    """Return the token that the bytes spell.
+
+    Raises:
+        MalformedError: they spell none.
+    """
+    return decode(data.removesuffix(b"\n"), Token, where="token")
+
+
+def open_token(
+    data: bytes, kind: type[T], *, tag: Tag, roles: frozenset[str], verifier: Verifier, now: Now
+) -> tuple[T, Digest, Principal]:
+    """Return the object in a token once every signature over it holds.
+
+    Args:
+        data: the token's bytes, from anyone.
+        kind: the struct inside.
+        tag: the one tag that is accepted here.
+        roles: roles that may sign this kind.
+        verifier: checks chain, revocation and signature.
+        now: the instant at which certificates must be valid.
+
+    Raises:
+        MalformedError: not a canonical token of this kind.
+        AuthenticityError: a certificate or signature does not hold, or the role may not sign this.
+    """
+    token = read_token(data)
+    if token.kind is not tag:
+        raise MalformedError(
+            f"expected a token of kind `{tag}`, got `{token.kind}`",
+            where="token.kind",
+            reason=Reason.WRONG_KIND,
+        )
+    payload = unb64(token.payload, where="token.payload")
+    hashed = digest(tag, payload)
+    signer: Principal | None = None
+    for number, endorsement in enumerate(token.endorsements):
+        where = f"token.endorsements[{number}]"
+        # (1) the certificate, (2) the signature
+        principal = verifier.verify(
+            unb64(hashed),
+            signature=unb64(endorsement.signature, where=f"{where}.signature"),
+            chain=tuple(unb64(c, where=f"{where}.chain") for c in endorsement.chain),
+            now=now,
+        )
+        if principal.role not in roles:
+            raise AuthenticityError(
+                f"expected a signer in a role of {sorted(roles)}, got `{principal.role}`",
+                reason=Reason.ROLE_DENIED,
+                where=where,
+            )
+        if signer is not None and signer.id != principal.id:
+            raise AuthenticityError(
+                "expected every signature to be of one principal",
+                reason=Reason.ISSUER_MISMATCH,
+                where=where,
+            )
+        signer = principal
+    if signer is None:  # pragma: no cover - the schema demands one endorsement
+        raise RuntimeError("a token without endorsements was decoded")
+    return decode(payload, kind, where=str(tag).split("/")[1]), hashed, signer
+
+
+def verify_mission(
+    data: bytes, *, verifier: Verifier, now: Now, roles: frozenset[str]
+) -> VerifiedMission:
+    """Return the mission in a token after steps 1 to 3 of `alg:authguard` (time apart).
+
+    Raises:
+        MalformedError: not canonical, or `SCHEMA_INVALID`.
+        AuthenticityError: a certificate or signature does not hold, or the signer is not the
+            issuer that the mission names.
+    """
+    mission, hashed, signer = open_token(
+        data, Mission, tag=Tag.MISSION, roles=roles, verifier=verifier, now=now
+    )
+    if mission.issuer != signer.id:
+        raise AuthenticityError(
+            f"expected the signature of `{mission.issuer}`, got `{signer.id}`",
+            reason=Reason.ISSUER_MISMATCH,
+            where="mission.issuer",
+        )
+    # (3) the schema
+    require_schema(mission)
+    return index_mission(mission, hashed, signer)
+
+
+def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> VerifiedMission:
+    """Return the mission with its sets and limits keyed for look-up; checks nothing."""
+    grants = tuple(IndexedGrant(g, {x.parameter: x for x in g.limits}) for g in mission.actions)
+    by_type: dict[ActionType, tuple[IndexedGrant, ...]] = {}
+    for indexed in grants:
+        by_type[indexed.grant.type] = (*by_type.get(indexed.grant.type, ()), indexed)
+    return VerifiedMission(
+        mission=mission,
+        digest=hashed,
+        issuer=issuer,
+        not_before_ms=to_ms(mission.not_before, where="mission.not_before"),
+        expiry_ms=to_ms(mission.expiry, where="mission.expiry"),
+        objects=frozenset(mission.objects),
+        regions=frozenset(mission.regions),
+        limits={limit.parameter: limit for limit in mission.limits},
+        grants=grants,
+        by_type=by_type,
+    )
+
+
+def write_token(token: Token) -> bytes:
+    """Return the token's one spelling, with a final newline for files."""
+    return encode_fast(token) + b"\n"

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The certificate profile: root, role authority, leaf; never more, never fewer.
+
+A leaf names one principal and one role. An authority names the roles that it may give. The role
+is an object identifier in the extended key usage, the principal a URI in the alternative name;
+the subject is for people. No path is built: there is one road, and it is walked.
+Spec page: docs/spec/token.md#certificates
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.x509.oid import NameOID, ObjectIdentifier
+from msgspec import Struct
+
+from authguard_r.core.errors import AuthenticityError
+from authguard_r.core.identifiers import Digest, PrincipalId, RobotId, is_identifier
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.ed25519 import require_sound
+
+#: An arc below 2.25 (a random UUID), which needs no registration.
+_ARC = "2.25.249240886789462354738743776298903117701"
+_PRINCIPAL = "urn:authguard-r:principal:"
+_ROBOT = "urn:authguard-r:robot:"
+_PROFILE = "urn:authguard-r:profile:"
+
+
+class Role(StrEnum):
+    """What a certificate lets its holder sign."""
+
+    OPERATOR = "operator"
+    SUPERVISOR = "supervisor"
+    SAFETY_OFFICER = "safety_officer"
+    SITE_AUTHORITY = "site_authority"
+    GATE = "gate"
+    ESTIMATOR = "estimator"
+    WITNESS = "witness"
+
+
+_OID: dict[Role, ObjectIdentifier] = {
+    role: ObjectIdentifier(f"{_ARC}.{number}") for number, role in enumerate(Role, 1)
+}
+_ROLE: dict[ObjectIdentifier, Role] = {oid: role for role, oid in _OID.items()}
+_KNOWN_CRITICAL = frozenset(
+    {
+        x509.BasicConstraints.oid,
+        x509.KeyUsage.oid,
+        x509.ExtendedKeyUsage.oid,
+        x509.SubjectAlternativeName.oid,
+    }
+)
+
+
+class Leaf(Struct, frozen=True, kw_only=True):
+    """What a leaf certificate says, once its chain was walked.
+
+    Args:
+        principal: whose it is.
+        role: what it may sign.
+        robot: for a gate or an estimator, the robot that it is bound to.
+        profile: for a gate, the digest of that robot's capability profile.
+        serial: its serial number, for revocation.
+        not_after_ms: the end of the shorter-lived of leaf and authority.
+    """
+
+    principal: PrincipalId
+    role: Role
+    robot: RobotId | None
+    profile: Digest | None
+    serial: int
+    not_after_ms: int
+
+
+def build_root(key: Ed25519PrivateKey, *, name: str, now: datetime, days: int) -> x509.Certificate:
+    """Return the self-signed root; `name` is what people see (a demo root says so)."""
+    subject = _name(name)
+    builder = _base(subject, subject, key.public_key(), now=now, days=days)
+    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=1), critical=True)
+    return builder.add_extension(_usage(ca=True), critical=True).sign(key, None)
+
+
+def build_authority(
+    public: Ed25519PublicKey,
+    *,
+    name: str,
+    roles: tuple[Role, ...],
+    issuer: x509.Certificate,
+    key: Ed25519PrivateKey,
+    now: datetime,
+    days: int,
+) -> x509.Certificate:
+    """Return a role authority that may issue leaves in `roles` and nothing else."""
+    builder = _base(_name(name), issuer.subject, public, now=now, days=days)
+    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    builder = builder.add_extension(_usage(ca=True), critical=True)
+    usage = x509.ExtendedKeyUsage([_OID[role] for role in roles])
+    return builder.add_extension(usage, critical=True).sign(key, None)
+
+
+def build_leaf(
+    public: Ed25519PublicKey,
+    *,
+    principal: str,
+    role: Role,
+    issuer: x509.Certificate,
+    key: Ed25519PrivateKey,
+    now: datetime,
+    days: int,
+    robot: str | None = None,
+    profile: str | None = None,
+) -> x509.Certificate:
+    """Return a leaf that binds the key to one principal in one role."""
+    names = [_PRINCIPAL + principal]
+    names += [_ROBOT + robot] if robot is not None else []
+    names += [_PROFILE + profile] if profile is not None else []
+    builder = _base(_name(principal), issuer.subject, public, now=now, days=days)
+    builder = builder.add_extension(
+        x509.BasicConstraints(ca=False, path_length=None), critical=True
+    )
+    builder = builder.add_extension(_usage(ca=False), critical=True)
+    builder = builder.add_extension(x509.ExtendedKeyUsage([_OID[role]]), critical=True)
+    uris = x509.SubjectAlternativeName([x509.UniformResourceIdentifier(n) for n in names])
+    return builder.add_extension(uris, critical=False).sign(key, None)
+
+
+def load(der: bytes, *, where: str) -> x509.Certificate:
+    """Return the certificate in the bytes.
+
+    Raises:
+        AuthenticityError: they are none.
+    """
+    try:
+        return x509.load_der_x509_certificate(der)
+    except ValueError as error:
+        raise _bad("expected a DER certificate", where) from error
+
+
+def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: Now) -> Leaf:
+    """Return what the leaf says after walking root, authority, leaf.
+
+    Revocation is the caller's (`trust`), for it needs lists.
+
+    Raises:
+        AuthenticityError: `CERTIFICATE_INVALID`, `CERTIFICATE_EXPIRED` or `KEY_INVALID`.
+    """
+    authority = load(authority_der, where="certificate.authority")
+    leaf = load(leaf_der, where="certificate.leaf")
+    allowed = _require_authority(authority, root, now)
+    _require_issued(leaf, authority, where="certificate.leaf")
+    _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
+    _require_dates(leaf, now, where="certificate.leaf")
+    require_sound(leaf.public_key(), where="certificate.leaf")
+    roles = _roles(leaf, where="certificate.leaf")
+    if len(roles) != 1 or not roles <= allowed:
+        raise _bad("expected one role that its authority may give", "certificate.leaf")
+    uris = _uris(leaf)
+    robot, profile = _optional(uris, _ROBOT), _optional(uris, _PROFILE)
+    end = min(leaf.not_valid_after_utc, authority.not_valid_after_utc, root.not_valid_after_utc)
+    return Leaf(
+        principal=PrincipalId(_only(uris, _PRINCIPAL)),
+        role=next(iter(roles)),
+        robot=None if robot is None else RobotId(robot),
+        profile=None if profile is None else Digest(profile),
+        serial=leaf.serial_number,
+        not_after_ms=int(end.timestamp()) * 1000,
+    )
+
+
+def is_demo(root: x509.Certificate) -> bool:
+    """True when the root says that it is for demonstration only."""
+    return "demo" in root.subject.rfc4514_string().lower()
+
+
+def _require_authority(
+    authority: x509.Certificate, root: x509.Certificate, now: Now
+) -> frozenset[Role]:
+    where = "certificate.authority"
+    _require_issued(authority, root, where=where)
+    _require_profile(authority, ca=True, path_length=0, where=where)
+    _require_dates(root, now, where="certificate.root")
+    _require_dates(authority, now, where=where)
+    require_sound(authority.public_key(), where=where)
+    return _roles(authority, where=where)
+
+
+def _require_issued(cert: x509.Certificate, issuer: x509.Certificate, *, where: str) -> None:
+    try:
+        cert.verify_directly_issued_by(issuer)
+    except (ValueError, TypeError, InvalidSignature) as error:
+        raise _bad("expected a certificate issued by the one above it", where) from error
+
+
+def _require_profile(
+    cert: x509.Certificate, *, ca: bool, path_length: int | None, where: str
+) -> None:
+    try:
+        extensions = cert.extensions
+        unknown = [e for e in extensions if e.critical and e.oid not in _KNOWN_CRITICAL]
+        basic = extensions.get_extension_for_class(x509.BasicConstraints).value
+        usage = extensions.get_extension_for_class(x509.KeyUsage).value
+    except (ValueError, x509.ExtensionNotFound, x509.DuplicateExtension) as error:
+        raise _bad("expected basic constraints and key usage", where) from error
+    if unknown:
+        raise _bad("expected no critical extension that is unknown", where)
+    if basic.ca is not ca or basic.path_length != path_length:
+        raise _bad("expected the basic constraints of its place in the chain", where)
+    signs, certifies = usage.digital_signature, usage.key_cert_sign
+    if (signs, certifies) != (not ca, ca):
+        raise _bad("expected the key usage of its place in the chain", where)
+
+
+def _require_dates(cert: x509.Certificate, now: Now, *, where: str) -> None:
+    first = int(cert.not_valid_before_utc.timestamp()) * 1000
+    last = int(cert.not_valid_after_utc.timestamp()) * 1000
+    if not first <= now.utc_ms <= last:
+        raise AuthenticityError(
+            f"expected an instant from {cert.not_valid_before_utc:%Y-%m-%dT%H:%M:%SZ} "
+            f"to {cert.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}",
+            reason=Reason.CERTIFICATE_EXPIRED,
+            where=where,
+        )
+
+
+def _roles(cert: x509.Certificate, *, where: str) -> frozenset[Role]:
+    try:
+        usage = cert.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    except (ValueError, x509.ExtensionNotFound) as error:
+        raise _bad("expected an extended key usage that names roles", where) from error
+    if any(oid not in _ROLE for oid in usage):
+        raise _bad("expected roles of this profile only", where)
+    return frozenset(_ROLE[oid] for oid in usage)
+
+
+def _uris(leaf: x509.Certificate) -> list[str]:
+    try:
+        names = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (ValueError, x509.ExtensionNotFound) as error:
+        raise _bad("expected an alternative name", "certificate.leaf") from error
+    return list(names.get_values_for_type(x509.UniformResourceIdentifier))
+
+
+def _only(uris: list[str], prefix: str) -> str:
+    found = [uri.removeprefix(prefix) for uri in uris if uri.startswith(prefix)]
+    if len(found) != 1 or not is_identifier(found[0]):
+        raise _bad(f"expected one name `{prefix}...`", "certificate.leaf")
+    return found[0]
+
+
+def _optional(uris: list[str], prefix: str) -> str | None:
+    found = [uri.removeprefix(prefix) for uri in uris if uri.startswith(prefix)]
+    if len(found) > 1:
+        raise _bad(f"expected at most one name `{prefix}...`", "certificate.leaf")
+    return found[0] if found else None
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _usage(*, ca: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not ca,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=ca,
+        crl_sign=ca,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _base(
+    subject: x509.Name, issuer: x509.Name, public: Ed25519PublicKey, *, now: datetime, days: int
+) -> x509.CertificateBuilder:
+    start = now.astimezone(UTC).replace(microsecond=0)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(public)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(start)
+        .not_valid_after(start + timedelta(days=days))
+    )
+
+
+def _bad(message: str, where: str) -> AuthenticityError:
+    return AuthenticityError(message, reason=Reason.CERTIFICATE_INVALID, where=where)

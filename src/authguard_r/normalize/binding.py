@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bindings: what each field of each planner tool means, and what becomes of it.
+
+Every argument is `mapped`, `refused` or `noted` (recorded, not forwarded); what the tool does not
+carry is `fixed` here or `attested` by state. Nothing is guessed: an argument that the binding does
+not name refuses the whole plan. Spec page: docs/spec/binding.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Any, Literal
+
+from msgspec import Struct
+
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import ActionType, Digest, Identifier, Integer, ToolId
+from authguard_r.core.reasons import Reason
+from authguard_r.site.model import Site
+
+
+class Use(StrEnum):
+    """What becomes of an argument."""
+
+    MAPPED = "mapped"
+    REFUSED = "refused"
+    NOTED = "noted"
+
+
+class Argument(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """One argument of a planner's tool.
+
+    Args:
+        use: what becomes of it.
+        to: the action field it fills: `object`, `destination`, `source`, `route` or
+            `params.NAME`.
+        per_unit: how many of the parameter's units one of the argument's is (1000 for meters
+            per second into millimeters per second), as an exact decimal or fraction `N/M`.
+        optional: the planner may leave it out; then `default` is carried, or nothing.
+        default: the value carried when it is left out, in the parameter's unit.
+    """
+
+    use: Use
+    to: str = ""
+    per_unit: str = "1"
+    optional: bool = False
+    default: Integer | None = None
+
+
+class ToolBinding(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
+    """One tool of a planner.
+
+    Args:
+        type: the canonical action type that it means.
+        tool: the canonical tool that carries it out.
+        arguments: by external name; what is not here is refused.
+        fixed: action fields and parameters that the controller's configuration settles.
+        attested: fields that attested state fills when the plan's turn comes.
+        noted: why the tool is bound as it is; for people.
+    """
+
+    type: ActionType
+    tool: ToolId
+    arguments: dict[str, Argument] = {}
+    fixed: dict[str, Integer | Identifier] = {}
+    attested: tuple[Literal["source"], ...] = ()
+    noted: str = ""
+
+
+class Binding(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """All tools of one planner interface at one site."""
+
+    schema: Literal["authguard-r/binding/1"]
+    id: Identifier
+    site: Identifier
+    tools: dict[str, ToolBinding]
+
+
+def binding_digest(binding: Binding) -> Digest:
+    """Return the digest under which the log names the binding."""
+    return digest_of(Tag.BINDING, binding)
+
+
+def require_sound(binding: Binding, site: Site) -> None:
+    """Hold a binding to the site: every target exists, every field has exactly one origin.
+
+    Raises:
+        MalformedError: with the place of the first fault.
+    """
+    if binding.site != site.id:
+        raise MalformedError(f"expected a binding for `{site.id}`", where="site")
+    for name, tool in binding.tools.items():
+        for place, fault in _faults(tool, site):
+            where = f"tools.{name}.{place}"
+            raise MalformedError(fault, where=where, reason=Reason.SCHEMA_INVALID)
+
+
+def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
+    kind = site.vocabulary.get(tool.type)
+    if kind is None:
+        yield "type", f"expected an action type of the site, got `{tool.type}`"
+        return
+    wanted = {*kind.fields, *(f"params.{name}" for name in kind.params)}
+    origins: list[str] = [*tool.fixed, *tool.attested]
+    for name, argument in tool.arguments.items():
+        if (argument.use is Use.MAPPED) != bool(argument.to):
+            yield f"arguments.{name}.to", "expected a target exactly when it is mapped"
+        if argument.use is Use.MAPPED:
+            origins.append(argument.to)
+    for target in origins:
+        if target not in wanted:
+            yield target, f"expected a field of `{tool.type}`: {', '.join(sorted(wanted))}"
+        if origins.count(target) > 1:
+            yield target, "expected one origin"
+    required = {f"params.{n}" for n, p in kind.params.items() if p.required}
+    required |= {field for field in kind.fields if field != "route"}
+    missing = sorted(required.difference(origins))
+    if missing and not kind.state_writing:
+        yield "arguments", f"expected an origin for `{missing[0]}`"
+
+
+def load_binding(data: Any, *, site: Site, where: str) -> Binding:
+    """Return plain data as a binding that is sound for the site.
+
+    Raises:
+        MalformedError: with the place of the first fault.
+    """
+    from authguard_r.site.source import convert
+
+    binding = convert(data, Binding, where=where)
+    require_sound(binding, site)
+    return binding

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Strict parsers for what planners write: parsed, never evaluated, never repaired (L12).
+
+JSON: UTF-8, bounded length and depth, no duplicate keys, no NaN, no lone surrogates; numbers stay
+exact decimals, so that no float ever reaches a comparison (L3).
+Spec page: docs/spec/normalize.md
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from decimal import Decimal, InvalidOperation
+from typing import Any
+
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.reasons import Reason
+
+#: Longest planner reply that is looked at, in bytes.
+MAX_TEXT = 1 << 18
+MAX_DEPTH = 32
+MAX_CALLS = 256
+#: Longest number, in characters: more digits than any quantity has.
+MAX_NUMBER = 40
+
+_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_SPACE = re.compile(r"[ \t\r\n]*")
+_WORDS: dict[str, bool] = {"true": True, "false": False, "True": True, "False": False}
+
+
+def read_text(data: bytes) -> str:
+    """Return a planner's bytes as text.
+
+    Raises:
+        MalformedError: too long (`INPUT_TOO_LARGE`) or not UTF-8.
+    """
+    if len(data) > MAX_TEXT:
+        raise MalformedError(
+            f"expected at most {MAX_TEXT} bytes, got {len(data)}",
+            where="input",
+            reason=Reason.INPUT_TOO_LARGE,
+        )
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MalformedError("expected UTF-8", where=f"input[{error.start}]") from error
+
+
+def read_json(text: str, *, where: str) -> Any:
+    """Return the value that strict JSON spells; numbers are `int` or `Decimal`.
+
+    Raises:
+        MalformedError: with the place where the text stops being JSON.
+    """
+    _require_depth(text, where)
+    try:
+        value = json.loads(
+            text,
+            object_pairs_hook=_object,
+            parse_float=_decimal,
+            parse_int=_integer,
+            parse_constant=_constant,
+        )
+    except json.JSONDecodeError as error:
+        raise MalformedError(error.msg.lower(), where=f"{where}[{error.pos}]") from error
+    except (ValueError, RecursionError) as error:
+        raise MalformedError(str(error), where=where) from error
+    _require_text(value, where)
+    return value
+
+
+def read_calls(text: str) -> list[tuple[str, dict[str, Any], str]]:
+    """Return the calls in `name(field=literal, ...)` text, one after the other.
+
+    Calls may be separated by white space, `;` or `,`. A literal is a quoted string, a number, or a
+    truth value; nothing else is a literal, and nothing is evaluated.
+
+    Raises:
+        MalformedError: with the offset of the first thing that is no such call.
+    """
+    calls: list[tuple[str, dict[str, Any], str]] = []
+    at = _skip(text, 0)
+    while at < len(text):
+        place = f"input[{at}]"
+        name = _NAME.match(text, at)
+        if name is None or text[name.end() : name.end() + 1] != "(":
+            raise MalformedError("expected a call such as `go(destination='...')`", where=place)
+        arguments, at = _arguments(text, name.end() + 1)
+        calls.append((name.group(), arguments, place))
+        at = _skip(text, at)
+        if text[at : at + 1] in {";", ","}:
+            at = _skip(text, at + 1)
+    return calls
+
+
+def _arguments(text: str, at: int) -> tuple[dict[str, Any], int]:
+    found: dict[str, Any] = {}
+    at = _skip(text, at)
+    if text[at : at + 1] == ")":
+        return found, at + 1
+    while True:
+        name = _NAME.match(text, at)
+        if name is None or text[name.end() : name.end() + 1] != "=":
+            raise MalformedError("expected `field=literal`", where=f"input[{at}]")
+        if name.group() in found:
+            raise MalformedError(f"duplicate field `{name.group()}`", where=f"input[{at}]")
+        found[name.group()], at = _literal(text, name.end() + 1)
+        at = _skip(text, at)
+        mark = text[at : at + 1]
+        if mark == ")":
+            return found, at + 1
+        if mark != ",":
+            raise MalformedError("expected `,` or `)`", where=f"input[{at}]")
+        at = _skip(text, at + 1)
+
+
+def _literal(text: str, at: int) -> tuple[Any, int]:
+    mark = text[at : at + 1]
+    if mark in {"'", '"'}:
+        end = text.find(mark, at + 1)
+        body = text[at + 1 : end] if end > at else ""
+        if end < 0 or "\\" in body or "\n" in body:
+            raise MalformedError("expected a quoted string without escapes", where=f"input[{at}]")
+        return body, end + 1
+    number = _NUMBER.match(text, at)
+    if number is not None:
+        try:
+            return read_number(number.group()), number.end()
+        except ValueError as error:
+            raise MalformedError(str(error), where=f"input[{at}]") from error
+    word = _NAME.match(text, at)
+    if word is not None and word.group() in _WORDS:
+        return _WORDS[word.group()], word.end()
+    raise MalformedError("expected a string, a number or a truth value", where=f"input[{at}]")
+
+
+def read_number(text: str) -> int | Decimal:
+    """Return the exact number that a literal spells.
+
+    Raises:
+        ValueError: longer than any quantity, or no number.
+    """
+    return _integer(text) if text.lstrip("-").isdigit() else _decimal(text)
+
+
+def _skip(text: str, at: int) -> int:
+    space = _SPACE.match(text, at)
+    return at if space is None else space.end()
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"duplicate key `{twice}`")
+    return found
+
+
+def _integer(text: str) -> int:
+    if len(text) > MAX_NUMBER:
+        raise ValueError(f"expected a number of at most {MAX_NUMBER} characters")
+    return int(text)
+
+
+def _decimal(text: str) -> Decimal:
+    if len(text) > MAX_NUMBER:
+        raise ValueError(f"expected a number of at most {MAX_NUMBER} characters")
+    try:
+        value = Decimal(text)
+    except InvalidOperation as error:
+        raise ValueError("expected a number") from error
+    if not value.is_finite() or abs(value.adjusted()) > MAX_NUMBER:
+        raise ValueError("expected a finite number of sensible size")
+    return value
+
+
+def _constant(text: str) -> Any:
+    raise ValueError(f"`{text}` is no number")
+
+
+def _require_depth(text: str, where: str) -> None:
+    """Refuse nesting before the parser recurses: strings are skipped, brackets counted."""
+    depth, quoted, escaped = 0, False, False
+    for at, mark in enumerate(text):
+        if quoted:
+            if escaped:
+                escaped = False
+            elif mark == "\\":
+                escaped = True
+            elif mark == '"':
+                quoted = False
+        elif mark == '"':
+            quoted = True
+        elif mark in "[{":
+            depth += 1
+            if depth > MAX_DEPTH:
+                raise MalformedError(f"expected at most {MAX_DEPTH} levels", where=f"{where}[{at}]")
+        elif mark in "]}":
+            depth -= 1
+
+
+def _require_text(value: Any, where: str) -> None:
+    """Refuse lone surrogates, which JSON escapes can smuggle in."""
+    if isinstance(value, str):
+        try:
+            value.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise MalformedError("expected well-formed text", where=where) from error
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            _require_text(key, where)
+            _require_text(item, f"{where}.{key}")
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            _require_text(item, f"{where}[{number}]")

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading what people write: YAML, held to a struct, every fault with its place.
+
+Safe loading only: no tags, no aliases, no duplicate keys, no floats where integers belong.
+How-to: docs/howto/site.md
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import yaml
+
+from authguard_r.core.encoding import MAX_BYTES
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.site.check import faults
+from authguard_r.site.model import Site
+
+T = TypeVar("T")
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """SafeLoader that refuses duplicate keys, aliases, and words that only look like values."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.YAMLError(f"aliases are not allowed{event.start_mark}")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = True) -> dict[Any, Any]:  # noqa: FBT001, FBT002
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for number, key in enumerate(keys):
+            if key in keys[:number]:
+                raise yaml.YAMLError(f"duplicate key `{key}`{node.start_mark}")
+        return super().construct_mapping(node, deep=deep)
+
+
+# `on`, `no` and dates are words of the site, not truth values and instants.
+_StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, rule) for tag, rule in rules if not tag.endswith((":timestamp", ":bool"))]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|false)$"), list("tf")
+)
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text.
+
+    Raises:
+        EnvironmentFault: it cannot be read.
+        MalformedError: it is too long or not UTF-8.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise EnvironmentFault(
+            f"cannot read `{path}`: {error.strerror}",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(path),
+        ) from error
+    if len(data) > MAX_BYTES:
+        raise MalformedError(f"expected at most {MAX_BYTES} bytes", where=str(path))
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MalformedError("expected UTF-8", where=str(path)) from error
+
+
+def read_yaml(text: str, *, where: str) -> object:
+    """Return the plain data in strict YAML.
+
+    Raises:
+        MalformedError: with the place that the parser names.
+    """
+    try:
+        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - a SafeLoader
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        message = " ".join(str(error).split())
+        raise MalformedError(message, where=where) from error
+
+
+def convert(data: object, kind: type[T], *, where: str) -> T:
+    """Return plain data as a struct, strictly.
+
+    Raises:
+        MalformedError: with the place of the first fault.
+    """
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        text, _, place = str(error).partition(" - at ")
+        place = place.strip("`").removeprefix("$").removeprefix(".")
+        joined = f"{where}:{place}" if place else where
+        raise MalformedError(text[:1].lower() + text[1:], where=joined) from error
+
+
+def read_site(path: Path) -> Site:
+    """Return the site model in a YAML file once it has no fault.
+
+    Raises:
+        EnvironmentFault: the file cannot be read.
+        MalformedError: not a site model, or one with faults; the first is named.
+    """
+    site = convert(read_yaml(read_text(path), where=str(path)), Site, where=str(path))
+    found = faults(site)
+    if found:
+        more = f" (and {len(found) - 1} more: `authguard site check`)" if len(found) > 1 else ""
+        raise MalformedError(found[0].message + more, where=f"{path}:{found[0].where}")
+    return site

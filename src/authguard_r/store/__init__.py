@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stores: SQLite for robots, memory for what-ifs; one Protocol, one conformance suite."""

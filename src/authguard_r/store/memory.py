@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A store that forgets: for what-if decisions and for tests of everything but durability.
+
+It passes the conformance suite of `core.ports.Store` save for what a crash must not lose.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+from authguard_r.audit.verify import Row
+from authguard_r.core.chain import GENESIS
+from authguard_r.core.errors import StoreError
+from authguard_r.core.ports import Turn
+
+T = TypeVar("T")
+
+
+class _MemoryTurn:
+    """Writes of one job, kept apart until it ends well."""
+
+    def __init__(self, held: dict[tuple[str, str], bytes], rows: list[Row]) -> None:
+        self._held = held
+        self._size = len(rows)
+        self._link = rows[-1].link if rows else GENESIS
+        self.puts: dict[tuple[str, str], bytes] = {}
+        self.appends: list[Row] = []
+
+    def get(self, kind: str, key: str) -> bytes | None:
+        """Return the value held under the key."""
+        return self.puts.get((kind, key), self._held.get((kind, key)))
+
+    def put(self, kind: str, key: str, value: bytes) -> None:
+        """Hold the value when the turn commits."""
+        self.puts[(kind, key)] = value
+
+    def head(self) -> tuple[int, bytes]:
+        """Return the number of records and the last link."""
+        return self._size, self._link
+
+    def append(self, record: bytes, sealed: bytes, link: bytes) -> int:
+        """Append one record."""
+        row = Row(self._size, record, sealed, link)
+        self.appends.append(row)
+        self._size, self._link = row.seq + 1, link
+        return row.seq
+
+
+class MemoryStore:
+    """Registry and log in this process's memory (`core.ports.Store`)."""
+
+    def __init__(self) -> None:
+        self._held: dict[tuple[str, str], bytes] = {}
+        self._rows: list[Row] = []
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def run(self, job: Callable[[Turn], T]) -> T:
+        """Run the job alone; its effects are there when it returned.
+
+        Raises:
+            StoreError: the store was closed.
+        """
+        with self._lock:
+            if self._closed:
+                raise StoreError("the store is closed", where="store")
+            turn = _MemoryTurn(self._held, self._rows)
+            result = job(turn)
+            self._held.update(turn.puts)
+            self._rows += turn.appends
+            return result
+
+    def close(self) -> None:
+        """Refuse everything from now on."""
+        with self._lock:
+            self._closed = True
+
+    def rows(self) -> tuple[Row, ...]:
+        """Return the log."""
+        with self._lock:
+            return tuple(self._rows)

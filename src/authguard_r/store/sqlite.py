@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The durable store: SQLite in WAL mode, synchronous FULL, one writer, group commit.
+
+NORMAL would lose acknowledged commits in a power cut (L17). Whoever gets the lock first commits
+for everybody who waits: one fsync for the whole batch, no thread of our own, and a lone caller
+pays for nothing but its own transaction. Spec page: docs/spec/store.md
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import apsw
+
+from authguard_r.audit.verify import Row
+from authguard_r.core.chain import GENESIS
+from authguard_r.core.errors import EnvironmentFault, StoreError
+from authguard_r.core.ports import Turn
+from authguard_r.core.reasons import Reason
+
+T = TypeVar("T")
+
+#: Marks the file as ours ("AGR1") and says which layout it has.
+APPLICATION_ID = 0x41475231
+FORMAT = 1
+#: First SQLite without the WAL-reset corruption bug.
+_OLDEST_SQLITE = (3, 51, 3)
+_MAX_BATCH = 64
+
+_SCHEMA = f"""
+PRAGMA application_id = {APPLICATION_ID};
+PRAGMA user_version = {FORMAT};
+CREATE TABLE held (
+  kind TEXT NOT NULL, key TEXT NOT NULL, value BLOB NOT NULL, PRIMARY KEY (kind, key)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE audit (
+  seq INTEGER PRIMARY KEY, record BLOB NOT NULL, sealed BLOB NOT NULL, link BLOB NOT NULL
+) STRICT;
+CREATE TRIGGER audit_no_update BEFORE UPDATE ON audit
+BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
+CREATE TRIGGER audit_no_delete BEFORE DELETE ON audit
+BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
+"""
+
+_REASONS: tuple[tuple[type[apsw.Error], Reason, str], ...] = (
+    (apsw.FullError, Reason.STORE_FULL, "the disk is full"),
+    (apsw.ReadOnlyError, Reason.STORE_READ_ONLY, "the store is read-only"),
+    (apsw.CorruptError, Reason.STORE_CORRUPT, "the store is corrupt"),
+    (apsw.NotADBError, Reason.STORE_CORRUPT, "the file is no store"),
+    (apsw.BusyError, Reason.STORE_UNAVAILABLE, "another process holds the store"),
+    (apsw.LockedError, Reason.STORE_UNAVAILABLE, "another process holds the store"),
+)
+
+
+class _Ticket(Generic[T]):
+    """A job that waits for its turn, and later its result."""
+
+    __slots__ = ("done", "error", "job", "result")
+
+    def __init__(self, job: Callable[[Turn], T]) -> None:
+        self.job = job
+        self.done = False
+        self.result: T | None = None
+        self.error: BaseException | None = None
+
+    def finish(self) -> T:
+        """Return the result or raise what went wrong."""
+        if self.error is not None:
+            raise self.error
+        return self.result  # type: ignore[return-value]
+
+
+class _SqliteTurn:
+    """One consistent view inside the open transaction (`core.ports.Turn`)."""
+
+    def __init__(self, connection: apsw.Connection, size: int, link: bytes) -> None:
+        self._connection = connection
+        self.size = size
+        self.link = link
+
+    def get(self, kind: str, key: str) -> bytes | None:
+        """Return the value held under the key."""
+        row = self._connection.execute(
+            "SELECT value FROM held WHERE kind = ? AND key = ?", (kind, key)
+        ).fetchone()
+        return None if row is None else bytes(row[0])
+
+    def put(self, kind: str, key: str, value: bytes) -> None:
+        """Hold the value when the turn commits."""
+        self._connection.execute(
+            "INSERT INTO held VALUES (?, ?, ?) "
+            "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
+            (kind, key, value),
+        )
+
+    def head(self) -> tuple[int, bytes]:
+        """Return the number of records and the last link."""
+        return self.size, self.link
+
+    def append(self, record: bytes, sealed: bytes, link: bytes) -> int:
+        """Append one record."""
+        seq = self.size
+        self._connection.execute(
+            "INSERT INTO audit VALUES (?, ?, ?, ?)", (seq, record, sealed, link)
+        )
+        self.size, self.link = seq + 1, link
+        return seq
+
+
+class SqliteStore:
+    """Registry and audit log of one robot in one file (`core.ports.Store`)."""
+
+    def __init__(self, connection: apsw.Connection) -> None:
+        self._connection = connection
+        self._lock = threading.Lock()
+        self._pending: deque[_Ticket[object]] = deque()
+        self._turn = _SqliteTurn(connection, *_read_head(connection))
+
+    def run(self, job: Callable[[Turn], T]) -> T:
+        """Run the job in the writer's turn; returns after its effects are on disk.
+
+        Raises:
+            StoreError: nothing of the job was committed.
+        """
+        ticket = _Ticket(job)
+        self._pending.append(ticket)  # type: ignore[arg-type]
+        with self._lock:
+            if not ticket.done:
+                self._commit_batch()
+        return ticket.finish()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        with self._lock:
+            self._connection.close()
+
+    def _commit_batch(self) -> None:
+        batch = [self._pending.popleft() for _ in range(min(len(self._pending), _MAX_BATCH))]
+        before = (self._turn.size, self._turn.link)
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+            for ticket in batch:
+                self._run_one(ticket)
+            self._connection.execute("COMMIT")
+        except apsw.Error as error:
+            self._roll_back(before)
+            for ticket in batch:
+                ticket.error = store_error(error)
+        finally:
+            for ticket in batch:
+                ticket.done = True
+
+    def _run_one(self, ticket: _Ticket[object]) -> None:
+        """Run one job; its own mistake undoes it alone, the store's fault undoes the batch."""
+        before = (self._turn.size, self._turn.link)
+        self._connection.execute("SAVEPOINT job")
+        try:
+            ticket.result = ticket.job(self._turn)
+        except apsw.Error:
+            raise
+        except BaseException as error:  # noqa: BLE001 - handed to the caller of `run`
+            self._connection.execute("ROLLBACK TO job")
+            self._turn.size, self._turn.link = before
+            ticket.error = error
+        self._connection.execute("RELEASE job")
+
+    def _roll_back(self, before: tuple[int, bytes]) -> None:
+        self._turn.size, self._turn.link = before
+        try:
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+        except apsw.Error:  # pragma: no cover - nothing was committed either way
+            pass
+
+
+def open_store(path: Path, *, vfs: str | None = None) -> SqliteStore:
+    """Return the store in the file, made anew when there is none.
+
+    Args:
+        path: the file; its folder must exist.
+        vfs: name of an SQLite file system, for tests that cut the power.
+
+    Raises:
+        EnvironmentFault: SQLite is too old to be trusted with a WAL.
+        StoreError: locked, read-only, corrupt, newer, or not ours.
+    """
+    version = tuple(int(part) for part in apsw.sqlite_lib_version().split("."))
+    if version < _OLDEST_SQLITE:  # pragma: no cover - apsw's wheel brings its own
+        raise EnvironmentFault(
+            f"SQLite {apsw.sqlite_lib_version()} can corrupt a WAL; 3.51.3 is needed",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(path),
+        )
+    try:
+        connection = apsw.Connection(str(path), vfs=vfs)
+        try:
+            _prepare(connection, path)
+            return SqliteStore(connection)
+        except BaseException:
+            connection.close()
+            raise
+    except apsw.Error as error:
+        raise store_error(error, where=str(path)) from error
+
+
+def read_rows(path: Path) -> Iterator[Row]:
+    """Yield the log's rows in order, from a file that nobody needs to trust.
+
+    Raises:
+        StoreError: no store, corrupt, newer, or held by a running gate.
+    """
+    if not path.is_file():
+        raise StoreError("there is no such store", where=str(path))
+    try:
+        connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
+        try:
+            _require_format(connection, path)
+            rows = connection.execute("SELECT seq, record, sealed, link FROM audit ORDER BY seq")
+            for seq, record, sealed, link in rows:
+                yield Row(seq, bytes(record), bytes(sealed), bytes(link))
+        finally:
+            connection.close()
+    except apsw.Error as error:
+        raise store_error(error, where=str(path)) from error
+
+
+def read_held(path: Path, kind: str, key: str) -> bytes | None:
+    """Return one held value from a file that no gate runs on.
+
+    Raises:
+        StoreError: as in `read_rows`.
+    """
+    if not path.is_file():
+        raise StoreError("there is no such store", where=str(path))
+    try:
+        connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
+        try:
+            _require_format(connection, path)
+            return _SqliteTurn(connection, 0, GENESIS).get(kind, key)
+        finally:
+            connection.close()
+    except apsw.Error as error:
+        raise store_error(error, where=str(path)) from error
+
+
+def store_error(error: apsw.Error, *, where: str = "store") -> StoreError:
+    """Return our word for SQLite's."""
+    for kind, reason, message in _REASONS:
+        if isinstance(error, kind):
+            return StoreError(f"{message}: {error}", reason=reason, where=where)
+    return StoreError(str(error) or type(error).__name__, where=where)
+
+
+def _prepare(connection: apsw.Connection, path: Path) -> None:
+    connection.set_busy_timeout(0)
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
+    connection.execute("PRAGMA journal_mode = WAL").fetchall()
+    connection.execute("PRAGMA synchronous = FULL")
+    # taking the exclusive lock now, not at the first decision
+    connection.execute("BEGIN IMMEDIATE")
+    fresh = connection.execute("SELECT count(*) FROM sqlite_schema").get == 0
+    if fresh:
+        connection.execute(_SCHEMA)
+    connection.execute("COMMIT")
+    _require_format(connection, path)
+
+
+def _require_format(connection: apsw.Connection, path: Path) -> None:
+    connection.set_busy_timeout(0)
+    application = connection.execute("PRAGMA application_id").get
+    version = connection.execute("PRAGMA user_version").get
+    if application != APPLICATION_ID:
+        raise StoreError("the file is no store", where=str(path), reason=Reason.STORE_CORRUPT)
+    if version > FORMAT:
+        raise StoreError(
+            f"expected format {FORMAT}, got {version}: it was written by a newer program",
+            where=str(path),
+            reason=Reason.STORE_NEWER,
+        )
+
+
+def _read_head(connection: apsw.Connection) -> tuple[int, bytes]:
+    row = connection.execute("SELECT seq, link FROM audit ORDER BY seq DESC LIMIT 1").fetchone()
+    return (0, GENESIS) if row is None else (row[0] + 1, bytes(row[1]))

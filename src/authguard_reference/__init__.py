@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference oracle: a literal transcription of the paper and docs/spec, standard library only.
+
+`alg:authguard` and `eq:auth-predicate` in `policy`, `grants`, `place` and `standing`;
+`eq:threshold` in `risk` and `approval`; `eq:trace-auth` in `lease`; `eq:action-deviation` and
+`eq:plan-deviation` in `deviation`; `eq:scmh`, `eq:uasr`, `eq:scmhr` and `eq:su` in `metrics`;
+`eq:log` in `chain`. It imports nothing of the gate it is compared with.
+"""
+
+from authguard_reference.chain import canonical, digest, link
+from authguard_reference.deviation import action_deviation, plan_deviation
+from authguard_reference.lease import still
+from authguard_reference.metrics import btcr, frr, scmh, scmhr, su, uasr, wilson
+from authguard_reference.policy import authorized, decide
+from authguard_reference.reasons import ORDER, PROTECTED
+from authguard_reference.standing import TRANSITIONS, is_complete, release, settle
+
+__all__ = [
+    "ORDER",
+    "PROTECTED",
+    "TRANSITIONS",
+    "action_deviation",
+    "authorized",
+    "btcr",
+    "canonical",
+    "decide",
+    "digest",
+    "frr",
+    "is_complete",
+    "link",
+    "plan_deviation",
+    "release",
+    "scmh",
+    "scmhr",
+    "settle",
+    "still",
+    "su",
+    "uasr",
+    "wilson",
+]
