@@ -4,6 +4,7 @@
     AuthGuardError
     ├── MalformedError        bytes that are no canonical object of the kind asked for
     ├── AuthenticityError     an object whose key, certificate or signature does not hold
+    ├── RefusedError          an authentic order that may not be carried out now
     ├── ClarificationError    a privileged field is absent or ambiguous; only a person can say
     └── EnvironmentFault      the world is at fault: store, clock, controller, missing part
         ├── StoreError
@@ -64,6 +65,10 @@ class ClarificationError(AuthGuardError):
         self.question = question
         self.field = field
         self.candidates = candidates
+
+
+class RefusedError(AuthGuardError):
+    """An authentic order that may not be carried out now; nothing was changed."""
 
 
 class EnvironmentFault(AuthGuardError):  # noqa: N818 - the exit code's own word

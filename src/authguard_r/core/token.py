@@ -12,7 +12,7 @@ from typing import Annotated, TypeVar
 
 from msgspec import Meta, Struct
 
-from authguard_r.core.encoding import Tag, decode, digest, encode_fast, unb64
+from authguard_r.core.encoding import Tag, b64, decode, digest, encode, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import (
     ActionType,
@@ -25,7 +25,7 @@ from authguard_r.core.identifiers import (
     RegionId,
 )
 from authguard_r.core.mission import Grant, Limit, Mission, require_schema
-from authguard_r.core.ports import Verifier
+from authguard_r.core.ports import Signer, Verifier
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
 
@@ -213,6 +213,12 @@ def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> Verifi
     )
 
 
-def write_token(token: Token) -> bytes:
-    """Return the token's one spelling, with a final newline for files."""
+def sign_object(value: object, tag: Tag, signer: Signer) -> bytes:
+    """Return a token over the object's canonical bytes, with a final newline for files."""
+    payload = encode(value)
+    endorsement = Endorsement(
+        chain=tuple(b64(der) for der in signer.chain),
+        signature=b64(signer.sign(unb64(digest(tag, payload)))),
+    )
+    token = Token(kind=tag, payload=b64(payload), endorsements=(endorsement,))
     return encode_fast(token) + b"\n"

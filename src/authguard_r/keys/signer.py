@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Private keys in files, and tokens signed with them.
+"""Private keys in files.
 
 Implements the core's `Signer`. Plain PKCS8 files with mode 0600: for services and demos; a
 person's key belongs in hardware or in an encrypted envelope (docs/LIMITATIONS.md).
@@ -13,11 +13,8 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
-from authguard_r.core.encoding import Tag, b64, digest, encode, unb64
 from authguard_r.core.errors import AuthenticityError
-from authguard_r.core.ports import Signer
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Endorsement, Token, write_token
 from authguard_r.keys.trust import read_file
 
 
@@ -58,16 +55,6 @@ def read_signer(key_path: Path, chain_path: Path) -> FileSigner:
     if len(chain) != 2 or chain[0].public_key() != key.public_key():
         raise _bad("expected the key's own certificate, then its authority's", chain_path)
     return FileSigner(key, tuple(cert.public_bytes(Encoding.DER) for cert in chain))
-
-
-def sign_object(value: object, tag: Tag, signer: Signer) -> bytes:
-    """Return a token over the object's canonical bytes."""
-    payload = encode(value)
-    signature = signer.sign(unb64(digest(tag, payload)))
-    endorsement = Endorsement(
-        chain=tuple(b64(der) for der in signer.chain), signature=b64(signature)
-    )
-    return write_token(Token(kind=tag, payload=b64(payload), endorsements=(endorsement,)))
 
 
 def _bad(message: str, path: Path) -> AuthenticityError:

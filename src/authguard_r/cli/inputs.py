@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands read: files and options, each to its type or a clear error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.core.action import Action
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.identifiers import RobotId, Timestamp
+from authguard_r.core.quantities import Now, to_ms
+from authguard_r.core.reasons import Reason
+from authguard_r.core.state import AttestedState, Snapshot, attest
+from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
+from authguard_r.intake import ESTIMATOR_ROLES, ISSUER_ROLES
+from authguard_r.keys.trust import Trust, read_file
+from authguard_r.normalize.binding import Binding, load_binding
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.parse import read_json
+from authguard_r.site.model import Site, facts_of
+from authguard_r.site.source import convert, read_site, read_text, read_yaml
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+SiteOption = Annotated[Path, typer.Option("--site", help="The site model (YAML).")]
+TrustOption = Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")]
+TokenOption = Annotated[Path, typer.Option("--token", help="A signed mission.")]
+BindingOption = Annotated[Path, typer.Option("--binding", help="The planner's tools (YAML).")]
+NowOption = Annotated[
+    str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
+]
+
+
+def wall_now(text: str | None) -> Now:
+    """Return the instant that was asked for, or the machine's."""
+    if text is None:
+        return Now(time.time_ns() // 1_000_000, 0)
+    try:
+        timestamp = msgspec.convert(text, Timestamp)
+    except msgspec.ValidationError as error:
+        raise typer.BadParameter("expected an instant such as 2026-01-31T14:30:00Z") from error
+    return Now(to_ms(timestamp, where="--now"), 0)
+
+
+def read_binding(path: Path, site: Site) -> Binding:
+    """Return a sound binding."""
+    data = read_yaml(read_text(path), where=str(path))
+    return load_binding(data, site=site, where=str(path))
+
+
+def read_mission(path: Path, trust: Trust, now: Now) -> VerifiedMission:
+    """Return the mission in a token file after steps 1 to 3."""
+    return verify_mission(read_file(path), verifier=trust, now=now, roles=ISSUER_ROLES)
+
+
+def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str | None) -> SiteFacts:
+    """Return the site's facts for the gate of this folder, named by its certificate.
+
+    Raises:
+        EnvironmentFault: the folder has no gate, or several and none was named.
+    """
+    from authguard_r.assembly import folder_signer
+
+    names = sorted(
+        path.name.removesuffix(".cert.pem") for path in folder.glob("keys/gate-*.cert.pem")
+    )
+    wanted = [f"gate-{robot}"] if robot is not None else names
+    if len(wanted) != 1:
+        raise EnvironmentFault(
+            f"expected one gate in `{folder}`, found {len(names)}; name one with --robot",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(folder),
+        )
+    signer = folder_signer(folder, wanted[0])
+    rid, profile = trust.gate_identity(signer.chain, now)
+    return facts_of(site, rid=rid, profile=profile)
+
+
+def gate_robot(folder: Path, robot: str | None) -> RobotId:
+    """Return the robot of the folder's one gate, or the one that was named."""
+    names = sorted(folder.glob("keys/gate-*.cert.pem"))
+    if robot is not None:
+        return RobotId(robot)
+    if len(names) != 1:
+        raise EnvironmentFault(
+            f"expected one gate in `{folder}`, found {len(names)}; name one with --robot",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(folder),
+        )
+    return RobotId(names[0].name.removeprefix("gate-").removesuffix(".cert.pem"))
+
+
+def read_state(data: bytes, *, facts: SiteFacts, trust: Trust, now: Now) -> AttestedState:
+    """Return a state for a what-if: a signed snapshot, or a plain one that claims nothing.
+
+    Raises:
+        MalformedError: neither.
+        AuthenticityError: a snapshot token whose signature does not hold.
+    """
+    if b'"endorsements"' in data:
+        read_token(data)
+        snapshot, _, _ = open_token(
+            data, Snapshot, tag=Tag.STATE, roles=ESTIMATOR_ROLES, verifier=trust, now=now
+        )
+    else:
+        plain = read_json(text_of(data, "state"), where="state")
+        snapshot = convert(_without_nulls(plain), Snapshot, where="state")
+    return attest(snapshot, facts, arrived_mono_ms=now.mono_ms)
+
+
+def read_action(plain: Any) -> Action:
+    """Return an action from the contract's shape; its labels and meta are not read.
+
+    Raises:
+        MalformedError: with the place.
+    """
+    if not isinstance(plain, dict):
+        raise MalformedError("expected an object", where="action")
+    claims = {"provenance", "meta"}
+    kept = {key: value for key, value in plain.items() if key not in claims and value is not None}
+    return convert(kept, Action, where="action")
+
+
+def read_context(path: Path | None, spellings: dict[str, str]) -> ContextLedger:
+    """Return the ledger of everything in a JSON Lines file of `{"channel", "text"}`.
+
+    Raises:
+        MalformedError: with the line.
+    """
+    ledger = ContextLedger(spellings)
+    lines = [] if path is None else text_of(read_file(path), str(path)).splitlines()
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        where = f"context line {number}"
+        item = read_json(line, where=where)
+        if (
+            not isinstance(item, dict)
+            or set(item) != {"channel", "text"}
+            or not all(isinstance(value, str) for value in item.values())
+        ):
+            raise MalformedError('expected {"channel": ..., "text": ...}', where=where)
+        ledger.add(item["channel"], item["text"])
+    return ledger
+
+
+def text_of(data: bytes, where: str) -> str:
+    """Return bytes as text.
+
+    Raises:
+        MalformedError: not UTF-8.
+    """
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise MalformedError("expected UTF-8", where=where) from error
+
+
+def read_input(path: Path) -> bytes:
+    """Return a file's bytes, or standard input's for `-`."""
+    return sys.stdin.buffer.read() if str(path) == "-" else read_file(path)
+
+
+def load_site(path: Path) -> Site:
+    """Return a sound site model."""
+    return read_site(path)
+
+
+def bundled_hospital() -> Path:
+    """Return the folder of the hospital example: in the wheel, or in the checkout.
+
+    Raises:
+        EnvironmentFault: neither is there.
+    """
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "sim" / "hospital", package.parents[1] / "examples" / "hospital"):
+        if (folder / "site.yaml").is_file():
+            return folder
+    raise EnvironmentFault(
+        "the hospital example is missing", reason=Reason.STORE_UNAVAILABLE, where=str(package)
+    )
+
+
+def _without_nulls(plain: Any) -> Any:
+    if isinstance(plain, dict):
+        return {key: _without_nulls(value) for key, value in plain.items() if value is not None}
+    return plain

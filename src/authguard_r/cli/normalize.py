@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard normalize`: planner output to actions, or a refusal with its place."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.cli.inputs import (
+    BindingOption,
+    JsonFlag,
+    NowOption,
+    SiteOption,
+    load_site,
+    read_binding,
+    read_context,
+    read_mission,
+    wall_now,
+)
+from authguard_r.cli.out import action_json, emit
+from authguard_r.core.action import Action
+from authguard_r.core.checks.provenance import label_fields
+from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
+from authguard_r.core.provenance import Label
+from authguard_r.core.token import VerifiedMission
+from authguard_r.keys.trust import read_trust
+from authguard_r.normalize import Binder, Dialect, normalize
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.parse import read_json
+
+
+def normalize_command(
+    site: SiteOption,
+    binding: BindingOption,
+    token: Annotated[
+        Path | None, typer.Option("--token", help="The mission that labels are worked out for.")
+    ] = None,
+    trust: Annotated[
+        Path | None, typer.Option("--trust", help="The trust folder; needed with --token.")
+    ] = None,
+    dialect: Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")] = (
+        Dialect.AUTO
+    ),
+    context: Annotated[
+        Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
+    ] = None,
+    now: NowOption = None,
+    jsonl: Annotated[
+        bool, typer.Option("--jsonl", help='One {"id", "raw"} a line in, one answer a line out.')
+    ] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Read planner output on standard input and print the actions it means, or a refusal."""
+    model = load_site(site)
+    binder = Binder(model, read_binding(binding, model))
+    verified = _mission(token, trust, now)
+    ledger = read_context(context, binder.spellings())
+    if jsonl:
+        return _stream(binder, verified, ledger, dialect)
+    answer, code = _answer(sys.stdin.buffer.read(), binder, verified, ledger, dialect)
+    emit(answer, [json.dumps(answer, indent=2, ensure_ascii=False)], as_json=as_json)
+    return code
+
+
+def _mission(token: Path | None, trust: Path | None, now: str | None) -> VerifiedMission | None:
+    if token is None:
+        return None
+    if trust is None:
+        from authguard_r.core.encoding import decode, digest, unb64
+        from authguard_r.core.mission import Mission
+        from authguard_r.core.token import Principal, index_mission, read_token
+
+        # labels of a preview need the mission's rows, not its authority
+        opened = read_token(token.read_bytes())
+        payload = unb64(opened.payload, where="token.payload")
+        mission = decode(payload, Mission, where="mission")
+        nobody = Principal(id=mission.issuer, role="unverified", usable_until_ms=0)
+        return index_mission(mission, digest(opened.kind, payload), nobody)
+    return read_mission(token, read_trust(trust), wall_now(now))
+
+
+def _stream(
+    binder: Binder, verified: VerifiedMission | None, ledger: ContextLedger, dialect: Dialect
+) -> int:
+    """Answer line by line; a bad line gets an error answer and the stream goes on."""
+    for line in sys.stdin.buffer:
+        if not line.strip():
+            continue
+        request: Any = None
+        try:
+            request = read_json(line.decode("utf-8", "surrogateescape"), where="line")
+            if not isinstance(request, dict) or not isinstance(request.get("raw"), str):
+                raise MalformedError('expected {"id": ..., "raw": ...}', where="line")
+            raw = request["raw"].encode("utf-8", "surrogateescape")
+            answer, _ = _answer(raw, binder, verified, ledger, dialect)
+        except (AuthGuardError, UnicodeError) as error:
+            reason = error.reason if isinstance(error, AuthGuardError) else "MALFORMED"
+            answer = {"error": {"code": str(reason), "message": str(error), "where": "line"}}
+        key = request.get("id") if isinstance(request, dict) else None
+        sys.stdout.write(json.dumps({"id": _plain(key), **answer}, ensure_ascii=False) + "\n")
+        sys.stdout.flush()
+    return 0
+
+
+def _plain(value: Any) -> Any:
+    """Return an id as it can be printed: text, integers and truth values as they are."""
+    return value if value is None or isinstance(value, str | int) else str(value)
+
+
+def _answer(
+    data: bytes,
+    binder: Binder,
+    verified: VerifiedMission | None,
+    ledger: ContextLedger,
+    dialect: Dialect,
+) -> tuple[dict[str, Any], int]:
+    try:
+        plan = normalize(data, binder=binder, dialect=dialect)
+    except ClarificationError as error:
+        asked = {
+            "field": error.field,
+            "question": error.question,
+            "candidates": list(error.candidates),
+        }
+        return {"clarification": asked}, 3
+    except MalformedError as error:
+        refusal = {"reason": str(error.reason), "where": error.where, "message": error.message}
+        return {"refusal": refusal}, 4
+    actions = [_labelled(step.action, verified, ledger.base()) for step in plan.steps]
+    return {
+        "actions": [action_json(action) for action in actions],
+        "evidence": plan.evidence,
+        "influenced_by": [
+            msgspec.to_builtins(item) for action in actions for item in ledger.influences(action)
+        ],
+    }, 0
+
+
+def _labelled(action: Action, verified: VerifiedMission | None, base: Label) -> Action:
+    labels = label_fields(action, verified, None, base=base)
+    return msgspec.structs.replace(action, provenance=labels)

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How answers look: one JSON object, or text for people. The shapes are a contract.
+
+Spec page: docs/reference/cli.md
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from authguard_r.core.action import Action
+from authguard_r.core.decide import Decision, Verdict
+from authguard_r.core.errors import (
+    AuthenticityError,
+    AuthGuardError,
+    ClarificationError,
+    MalformedError,
+    RefusedError,
+)
+from authguard_r.core.finding import Finding, deviation
+from authguard_r.core.safety import SafetyDecision
+from authguard_r.core.standing import Outcome
+from authguard_r.core.token import VerifiedMission
+from authguard_r.report import NOT_EVALUATED, Judged, Report
+
+
+def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
+    """Print one JSON object, or the lines."""
+    if as_json:
+        sys.stdout.write(json.dumps(payload, ensure_ascii=False) + "\n")
+    else:
+        sys.stdout.write("".join(f"{line}\n" for line in lines))
+    sys.stdout.flush()
+
+
+def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: int) -> int:
+    """Print an error where it belongs and return the exit code."""
+    if as_json:
+        error = {"code": str(reason), "message": message, "where": where}
+        sys.stdout.write(json.dumps({"error": error}, ensure_ascii=False) + "\n")
+    else:
+        place = f" (at {where})" if where else ""
+        sys.stderr.write(f"{reason}: {message}{place}\n")
+    return code
+
+
+def exit_code(error: AuthGuardError) -> int:
+    """Return the exit code of an error."""
+    if isinstance(error, RefusedError):
+        return 1
+    if isinstance(error, ClarificationError):
+        return 3
+    if isinstance(error, MalformedError | AuthenticityError):
+        return 4
+    return 5
+
+
+def action_json(action: Action) -> dict[str, Any]:
+    """Return the contract's shape of an action; every key is there."""
+    meta = action.meta
+    return {
+        "type": action.type,
+        "object": action.object,
+        "source": action.source,
+        "destination": action.destination,
+        "route": list(action.route),
+        "params": dict(action.params),
+        "tool": action.tool,
+        "provenance": {field: str(label) for field, label in action.provenance.items()},
+        "meta": {
+            "planner": None if meta is None else meta.planner,
+            "mission": None if meta is None else meta.mission,
+            "mission_version": None if meta is None else meta.mission_version,
+            "timestamp": None if meta is None else meta.timestamp,
+            "evidence": None if meta is None else meta.evidence,
+        },
+    }
+
+
+def mission_json(verified: VerifiedMission) -> dict[str, Any]:
+    """Return how a decision names its mission."""
+    return {
+        "mid": verified.mission.mid,
+        "version": verified.mission.version,
+        "digest": verified.digest,
+    }
+
+
+def finding_json(finding: Finding) -> dict[str, Any]:
+    """Return the contract's shape of a finding."""
+    return {
+        "field": finding.field,
+        "reason": str(finding.reason),
+        "expected": finding.expected,
+        "got": finding.got,
+        "step": finding.step,
+    }
+
+
+def decision_json(judged: Judged, *, authoritative: bool) -> dict[str, Any]:
+    """Return the contract's shape of a decision."""
+    decision = judged.decision
+    return {
+        "outcome": str(decision.verdict),
+        "reasons": [str(reason) for reason in decision.reasons],
+        "findings": [finding_json(finding) for finding in decision.findings],
+        "influenced_by": [],
+        "grant": None if decision.match is None else decision.match.indexed.grant.id,
+        "required_approvals": None if decision.need is None else decision.need.required,
+        "risk": None if decision.need is None else decision.need.risk,
+        "deviation": float(deviation(decision.findings, {})),
+        "mission": mission_json(judged.verified),
+        "action_digest": judged.action_digest,
+        "retryable": decision.retryable,
+        "authoritative": authoritative,
+        "action": action_json(judged.action),
+        "safety": safety_json(judged.safety),
+    }
+
+
+def safety_json(safety: SafetyDecision | None) -> Any:
+    """Return the second gate's verdict, or that it was not asked."""
+    if safety is None:
+        return NOT_EVALUATED
+    return {
+        "safe": safety.safe,
+        "findings": [msgspec.to_builtins(finding) for finding in safety.findings],
+        "repair": None if safety.repair is None else action_json(safety.repair),
+    }
+
+
+def report_json(report: Report) -> dict[str, Any]:
+    """Return what became of one proposal."""
+    if report.judged is None:
+        refusal = report.refusal
+        body: dict[str, Any] = {
+            "outcome": "reject",
+            "reasons": [] if refusal is None else [str(refusal.reason)],
+            "refusal": None if refusal is None else msgspec.to_builtins(refusal),
+        }
+    else:
+        body = decision_json(report.judged, authoritative=True)
+    body["influenced_by"] = [msgspec.to_builtins(item) for item in report.influences]
+    body["released"] = report.outcome is not None
+    body["executed"] = report.outcome not in {None, Outcome.NOT_STARTED}
+    body["execution"] = {
+        "outcome": None if report.outcome is None else str(report.outcome),
+        "reasons": [finding_json(finding) for finding in report.reasons],
+        "recorded": report.outcome_recorded,
+    }
+    body["seq"] = report.seq
+    return body
+
+
+def decision_lines(judged: Judged) -> list[str]:
+    """Return a decision for people."""
+    action = judged.action
+    shown = " ".join(
+        f"{name}={value}"
+        for name, value in (
+            ("object", action.object),
+            ("from", action.source),
+            ("to", action.destination),
+            *action.params.items(),
+        )
+        if value is not None
+    )
+    lines = [f"{judged.decision.verdict.upper():17} {action.type} {shown}"]
+    lines += [f"  {_finding_line(finding)}" for finding in judged.decision.findings]
+    if judged.safety is not None and not judged.safety.safe:
+        lines += [
+            f"  safety gate: {f.hazard} at {f.field}: expected {f.expected}, got {f.got}"
+            for f in judged.safety.findings
+        ]
+    return lines
+
+
+def report_lines(report: Report) -> list[str]:
+    """Return what became of one proposal, for people."""
+    if report.judged is None:
+        refusal = report.refusal
+        if refusal is None:
+            return ["REJECT"]
+        return [f"{'REJECT':17} {refusal.reason}: {refusal.message} (at {refusal.where})"]
+    lines = decision_lines(report.judged)
+    if report.outcome is not None:
+        lines.append(f"  -> {report.outcome}")
+    lines += [f"  because {_finding_line(finding)}" for finding in report.reasons]
+    lines += [
+        f"  influenced by {item.channel} ({item.label}): it mentions `{item.value}`"
+        for item in report.influences
+        if report.judged.decision.verdict is not Verdict.ACCEPT
+    ]
+    return lines
+
+
+def _finding_line(finding: Finding) -> str:
+    return (
+        f"({finding.step}) {finding.reason} at {finding.field}: "
+        f"expected {finding.expected}, got {finding.got}"
+    )
+
+
+def verdict_code(decision: Decision) -> int:
+    """Return the exit code of a decision."""
+    return {Verdict.ACCEPT: 0, Verdict.REJECT: 1, Verdict.REQUEST_APPROVAL: 3}[decision.verdict]
+
+
+def report_code(report: Report) -> int:
+    """Return the exit code of one proposal."""
+    if report.judged is None:
+        return 4 if report.refusal is not None and report.refusal.where.startswith("input") else 1
+    code = verdict_code(report.judged.decision)
+    if code == 0 and report.outcome is not Outcome.SUCCEEDED:
+        return 1
+    return code

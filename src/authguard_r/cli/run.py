@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard run`: a plan on the symbolic robot, every step through both gates."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from msgspec import Struct
+
+from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate
+from authguard_r.cli.inputs import (
+    BindingOption,
+    JsonFlag,
+    NowOption,
+    SiteOption,
+    TokenOption,
+    TrustOption,
+    gate_robot,
+    load_site,
+    read_binding,
+    read_context,
+    read_input,
+    wall_now,
+)
+from authguard_r.cli.out import emit, exit_code, report_code, report_json, report_lines
+from authguard_r.compile.change import smallest_change, to_draft
+from authguard_r.core.encoding import b64
+from authguard_r.core.errors import AuthGuardError, RefusedError
+from authguard_r.core.identifiers import ObjectId, RegionId
+from authguard_r.core.mission import OnRefusal
+from authguard_r.core.quantities import Now, to_timestamp
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.report import Report
+from authguard_r.safety import open_config
+from authguard_r.sim.robot import Faults
+from authguard_r.sim.world import WorldState, initial_state
+from authguard_r.site.model import Site
+
+PLANNER = "planner"
+
+
+class Run(Struct, frozen=True, kw_only=True):
+    """What became of one plan.
+
+    Args:
+        reports: one for each step that was reached; one alone when the plan could not be read.
+        steps: how many steps the plan had; 0 when it could not be read.
+        alerts: what an operator should look at.
+        change: the smallest signed change after a refusal, as a draft; for the operator only.
+        then: what the enforcer did after a refusal.
+    """
+
+    reports: tuple[Report, ...]
+    steps: int
+    alerts: tuple[str, ...] = ()
+    change: dict[str, Any] | None = None
+    then: str | None = None
+
+
+def run_plan(
+    simulation: Simulation, plan: bytes, *, dialect: Dialect, context: ContextLedger, ask: bool
+) -> Run:
+    """Read a plan whole, then decide and carry out each step when its turn comes.
+
+    Args:
+        simulation: the gate and its robot.
+        plan: what the planner wrote.
+        dialect: how to read it.
+        context: what the planner could have seen.
+        ask: a person is there to be asked after a refusal.
+    """
+    enforcer = simulation.gate.enforcer
+    try:
+        read = normalize(plan, binder=simulation.binder, dialect=dialect)
+    except AuthGuardError as error:
+        return Run(reports=(enforcer.refuse_plan(error),), steps=0, then="hold")
+    reports: list[Report] = []
+    for step in read.steps:
+        report = enforcer.propose(step, planner=PLANNER, evidence=read.evidence, context=context)
+        reports.append(report)
+        if report.outcome is not Outcome.SUCCEEDED:
+            break
+    done = len(reports) == len(read.steps) and reports[-1].outcome is Outcome.SUCCEEDED
+    if done:
+        return Run(reports=tuple(reports), steps=len(read.steps))
+    then = _after_refusal(simulation, reports[-1], ask=ask)
+    return Run(
+        reports=tuple(reports),
+        steps=len(read.steps),
+        alerts=_alerts(reports[-1]),
+        change=_change(simulation, reports[-1]),
+        then=then,
+    )
+
+
+def run_command(
+    token: TokenOption,
+    trust: TrustOption,
+    site: SiteOption,
+    binding: BindingOption,
+    plan: Annotated[
+        list[Path], typer.Option("--plan", help="Planner output; `-` reads it; may be repeated.")
+    ],
+    dialect: Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")] = (
+        Dialect.AUTO
+    ),
+    context: Annotated[
+        Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option("--store", help="The robot's store (default: a new one).")
+    ] = None,
+    safety: Annotated[
+        Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
+    ] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="Which gate runs it.")] = None,
+    at: Annotated[str | None, typer.Option("--at", help="Where the robot stands.")] = None,
+    holding: Annotated[str | None, typer.Option("--holding", help="What it holds.")] = None,
+    drift_to: Annotated[
+        str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
+    ] = None,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
+    instant, model = wall_now(now), load_site(site)
+    rid = gate_robot(trust, robot)
+    config = None
+    if safety is not None:
+        config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)
+    path = store or Path(tempfile.mkdtemp(prefix="authguard-")) / "robot.db"
+    simulation = simulate(
+        trust,
+        model,
+        read_binding(binding, model),
+        rid=rid,
+        start_ms=instant.utc_ms,
+        store=path,
+        state=_world(model, rid, at, holding),
+        faults=Faults(drift_to=RegionId(drift_to) if drift_to else None),
+        safety=config,
+    )
+    try:
+        _activate(simulation, read_file(token))
+        ledger = read_context(context, simulation.binder.spellings())
+        ask = sys.stdin.isatty() and not as_json
+        runs = [
+            run_plan(simulation, read_input(p), dialect=dialect, context=ledger, ask=ask)
+            for p in plan
+        ]
+        payload = _payload(simulation, runs, path)
+    finally:
+        simulation.gate.close()
+    emit(payload, _lines(runs, path), as_json=as_json)
+    return max(_code(run) for run in runs)
+
+
+def stop_command(
+    trust: TrustOption,
+    site: SiteOption,
+    store: Annotated[Path, typer.Option("--store", help="The robot's store.")],
+    robot: Annotated[str | None, typer.Option("--robot", help="Which gate.")] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Brake and hold, without decision or mission; recorded afterwards."""
+    from authguard_r.assembly import offline_gate
+
+    gate = offline_gate(trust, load_site(site), rid=gate_robot(trust, robot), store=store)
+    try:
+        gate.enforcer.stop(by="operator", is_planner=False)
+    finally:
+        gate.close()
+    emit({"stopped": True}, ["stopped; leaving an operator's stop needs `resume`"], as_json=as_json)
+    return 0
+
+
+def _activate(simulation: Simulation, token: bytes) -> None:
+    """Activate the mission, unless this very version is active already."""
+    management = simulation.gate.management
+    try:
+        management.activate(token)
+    except RefusedError as error:
+        if error.reason is not Reason.TRANSITION_REFUSED or "is here and active" not in str(error):
+            raise
+        management.recover()
+
+
+def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldState:
+    home = RegionId(at) if at is not None else site.robots[rid].home  # type: ignore[index]
+    if home not in site.regions:
+        raise typer.BadParameter(f"the site has no region `{home}`", param_hint="--at")
+    state = initial_state(site, home)
+    if holding is None:
+        return state
+    if holding not in state.places:
+        raise typer.BadParameter(f"the site has no object `{holding}`", param_hint="--holding")
+    item = ObjectId(holding)
+    places = {thing: place for thing, place in state.places.items() if thing != item}
+    return msgspec.structs.replace(state, holding=item, places=places)
+
+
+def _after_refusal(simulation: Simulation, report: Report, *, ask: bool) -> str:
+    """Do what the mission says is done after a refusal; hold when nobody can be asked."""
+    if report.judged is None:
+        return OnRefusal.HOLD
+    wanted = report.judged.verified.mission.on_refusal
+    if wanted is OnRefusal.STOP:
+        simulation.gate.enforcer.stop(by="gate", is_planner=False)
+    if wanted is OnRefusal.ASK and ask:
+        typer.confirm("The step was refused. Hold here?", default=True)
+    return wanted
+
+
+def _alerts(report: Report) -> tuple[str, ...]:
+    if report.judged is None:
+        return ("the plan's step was refused before a decision",)
+    alerts = [f"refused: {reason}" for reason in report.judged.decision.reasons]
+    alerts += [f"aborted: {finding.reason}" for finding in report.reasons]
+    alerts += [
+        f"influenced by {item.channel}: it mentions `{item.value}`" for item in report.influences
+    ]
+    return tuple(alerts)
+
+
+def _change(simulation: Simulation, report: Report) -> dict[str, Any] | None:
+    """Return the smallest signed change that would allow the refused step, as a draft."""
+    judged = report.judged
+    if judged is None or judged.decision.match is None or report.outcome is not None:
+        return None
+    now = Now(simulation.robot.wall_ms() + 1_800_000, 0)
+    amended = smallest_change(
+        judged.verified.mission,
+        judged.action,
+        reasons=judged.decision.reasons,
+        grant=judged.decision.match.indexed.grant.id,
+        digest=judged.verified.digest,
+        nonce=b64(os.urandom(16)),
+        expiry=to_timestamp(now.utc_ms),
+    )
+    return None if amended is None else to_draft(amended)
+
+
+def _payload(simulation: Simulation, runs: list[Run], path: Path) -> dict[str, Any]:
+    terminal = sign_terminal(simulation.gate, simulation.signer)
+    anchor = path.with_suffix(".checkpoint")
+    anchor.write_bytes(terminal)
+    state = simulation.robot.state
+    return {
+        "steps": [report_json(report) for run in runs for report in run.reports],
+        "planned": sum(run.steps for run in runs),
+        "alerts": [alert for run in runs for alert in run.alerts],
+        "on_refusal": next((run.then for run in runs if run.then is not None), None),
+        "smallest_change": next((run.change for run in runs if run.change is not None), None),
+        "robot": {"region": state.region, "holding": state.holding},
+        "store": str(path),
+        "checkpoint": str(anchor),
+    }
+
+
+def _lines(runs: list[Run], path: Path) -> list[str]:
+    lines: list[str] = []
+    for run in runs:
+        for report in run.reports:
+            lines += report_lines(report)
+        if run.then is not None:
+            left = max(run.steps - len(run.reports), 0)
+            lines.append(f"then: {run.then}; {left} further step(s) not tried")
+        if run.change is not None:
+            lines.append("a signed next version could allow it: see `smallest_change` in --json")
+    return [*lines, f"log: {path} (authguard audit verify {path})"]
+
+
+def _code(run: Run) -> int:
+    codes = [report_code(report) for report in run.reports]
+    if run.steps == 0:
+        refusal = run.reports[0].refusal
+        return 4 if refusal is not None else 5
+    return max(codes)
+
+
+__all__ = ["Run", "exit_code", "folder_signer", "run_command", "run_plan", "stop_command"]

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every act that counts happens here: in the writer's turn, at a trusted time, with one record.
+
+Trusted time never runs backwards: it is the wall clock or the last committed time plus what the
+monotonic clock has counted since, whichever is later, and it is written with every commit. A wall
+clock that is behind what was committed is a fault, not an excuse.
+Spec page: docs/spec/store.md#time
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from authguard_r.audit.record import Entry, append
+from authguard_r.core.encoding import decode, encode_fast
+from authguard_r.core.errors import ClockError
+from authguard_r.core.identifiers import Digest, MissionId, RobotId
+from authguard_r.core.ports import Clock, Store, Turn
+from authguard_r.core.quantities import Now
+from authguard_r.core.standing import Standing
+
+T = TypeVar("T")
+#: How far the wall clock may be behind the last committed time, in milliseconds.
+SKEW_MS = 2_000
+
+
+class Ledger:
+    """One robot's store, clock and source of salts.
+
+    Args:
+        store: durable before it answers.
+        clock: the only source of time.
+        robot: whose ledger this is.
+        salts: returns that many fresh random bytes.
+        genesis: what the log's first record says of the gate and its site.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        clock: Clock,
+        *,
+        robot: RobotId,
+        salts: Callable[[int], bytes],
+        genesis: dict[str, object],
+    ) -> None:
+        self._store = store
+        self._clock = clock
+        self._salts = salts
+        self.robot = robot
+        self._mono_base = 0
+        self._mono_start = clock.mono_ms()
+        self._high = Now(0, 0)
+        self._standings: dict[MissionId, Standing] = {}
+        store.run(lambda turn: self._open(turn, genesis))
+
+    def mono_ms(self) -> int:
+        """Return the monotonic clock, which goes on across restarts of the gate."""
+        return self._mono_base + self._clock.mono_ms() - self._mono_start
+
+    def now(self) -> Now:
+        """Return trusted time.
+
+        Raises:
+            ClockError: the wall clock is behind what was committed.
+        """
+        wall, mono = self._clock.wall_ms(), self.mono_ms()
+        if wall < self._high.utc_ms - SKEW_MS:
+            raise ClockError(
+                f"the wall clock is {self._high.utc_ms - wall} ms behind the last committed time"
+            )
+        return Now(max(wall, self._high.utc_ms + mono - self._high.mono_ms), mono)
+
+    def run(self, job: Callable[[Act], T]) -> T:
+        """Run one act in the writer's turn; its effects and records are on disk on return.
+
+        Raises:
+            ClockError: nothing was done.
+            StoreError: nothing was committed.
+        """
+
+        def turn_job(turn: Turn) -> tuple[T, Act]:
+            now = self.now()
+            act = Act(turn, now, self._salts)
+            result = job(act)
+            turn.put("clock", "high", encode_fast(now))
+            return result, act
+
+        result, act = self._store.run(turn_job)
+        self._high = act.now
+        self._standings.update(act.held)
+        return result
+
+    def standing(self, mid: MissionId) -> Standing | None:
+        """Return the standing as last committed, without waiting for a turn."""
+        return self._standings.get(mid)
+
+    def note(self, entry: Callable[[int], Entry]) -> int:
+        """Record something that needs no trustworthy clock: a refusal, a stop, an alert.
+
+        Args:
+            entry: makes the entry from the last trusted time.
+
+        Raises:
+            StoreError: it was not recorded.
+        """
+        time_ms = max(self._high.utc_ms, self._clock.wall_ms())
+
+        def turn_job(turn: Turn) -> int:
+            made = entry(time_ms)
+            return append(turn, made, salts=self._salts(16 * len(made.sealed)))
+
+        return self._store.run(turn_job)
+
+    def close(self) -> None:
+        """Let go of the store."""
+        self._store.close()
+
+    def _open(self, turn: Turn, genesis: dict[str, object]) -> None:
+        held = turn.get("clock", "high")
+        if held is not None:
+            self._high = decode(held, Now, where="store.clock")
+            self._mono_base = self._high.mono_ms
+        if turn.head()[0] == 0:
+            entry = Entry(
+                kind="genesis",
+                time_ms=self._clock.wall_ms(),
+                decision="genesis",
+                open={"format": 1, "robot": self.robot, **genesis},
+            )
+            append(turn, entry, salts=b"")
+
+
+class Act:
+    """One act inside the writer's turn: what it reads, holds and records.
+
+    Args:
+        turn: the writer's turn.
+        now: read once for the whole act.
+        salts: returns that many fresh random bytes.
+    """
+
+    def __init__(self, turn: Turn, now: Now, salts: Callable[[int], bytes]) -> None:
+        self._turn = turn
+        self._salts = salts
+        self.now = now
+        self.held: dict[MissionId, Standing] = {}
+
+    def standing(self, mid: MissionId) -> Standing | None:
+        """Return the registry's entry for a mission."""
+        held = self._turn.get("standing", mid)
+        if held is None:
+            return None
+        standing = decode(held, Standing, where=f"store.standing.{mid}")
+        self.held.setdefault(mid, standing)
+        return standing
+
+    def hold(self, standing: Standing) -> None:
+        """Hold a mission's new standing."""
+        self._turn.put("standing", standing.mid, encode_fast(standing))
+        self.held[standing.mid] = standing
+
+    def active(self) -> MissionId | None:
+        """Return the one mission that is active on this robot."""
+        held = self._turn.get("active", "mission")
+        return None if not held else MissionId(held.decode("ascii"))
+
+    def make_active(self, mid: MissionId | None) -> None:
+        """Make a mission the active one, or none."""
+        self._turn.put("active", "mission", (mid or "").encode("ascii"))
+
+    def token(self, digest: Digest) -> bytes | None:
+        """Return the token of a mission version by its digest."""
+        return self._turn.get("token", digest)
+
+    def keep_token(self, digest: Digest, token: bytes) -> None:
+        """Keep a token, so that replay and restart have the very bytes."""
+        self._turn.put("token", digest, token)
+
+    def get(self, kind: str, key: str) -> bytes | None:
+        """Return any other held value."""
+        return self._turn.get(kind, key)
+
+    def put(self, kind: str, key: str, value: bytes) -> None:
+        """Hold any other value."""
+        self._turn.put(kind, key, value)
+
+    def head(self) -> tuple[int, bytes]:
+        """Return the log's size and last link."""
+        return self._turn.head()
+
+    def record(self, entry: Entry) -> int:
+        """Append one record to the log."""
+        return append(self._turn, entry, salts=self._salts(16 * len(entry.sealed)))

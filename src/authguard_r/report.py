@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What became of a proposal: as a value, and as the entry that the log keeps.
+
+A record holds every input that replaying its decision needs; what may be sensitive is committed
+to, what counts and codes lies open. Spec page: docs/spec/audit-record.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from authguard_r.audit.record import NONE, Entry
+from authguard_r.core.action import Action
+from authguard_r.core.decide import Decision, Verdict
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.finding import Finding, Findings, deviation
+from authguard_r.core.identifiers import Digest, Identifier, MissionId
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.safety import SafetyDecision
+from authguard_r.core.standing import ApprovalRequest, Outcome, Spend, Standing
+from authguard_r.core.state import AttestedState
+from authguard_r.core.token import VerifiedMission
+from authguard_r.normalize.context import Influence
+
+#: What the log says of the second gate when the first refused.
+NOT_EVALUATED = "not evaluated"
+
+
+class Judged(Struct, frozen=True, kw_only=True):
+    """One proposal after both gates, before anything was dispatched.
+
+    Args:
+        action: complete: source attested, labels and meta set.
+        action_digest: digest of all of it; equal digests mean equal dispatched bytes.
+        decision: the authorization gate's.
+        safety: the safety gate's; None when it was not evaluated.
+        verified: the mission it was held against.
+        standing: as it was read.
+        state: as it was read.
+        now: the instant of the decision.
+        ticket: names this release; two equal actions have two tickets.
+        request: a new approval request, when one is to be opened.
+        approvals: tokens of the answers that were looked at.
+    """
+
+    action: Action
+    action_digest: Digest
+    decision: Decision
+    safety: SafetyDecision | None
+    verified: VerifiedMission
+    standing: Standing | None
+    state: AttestedState | None
+    now: Now
+    ticket: Digest
+    request: ApprovalRequest | None = None
+    approvals: tuple[str, ...] = ()
+
+    @property
+    def released(self) -> bool:
+        """True when both gates let it through (`eq:execute`)."""
+        safe = self.safety is not None and self.safety.safe
+        return self.decision.verdict is Verdict.ACCEPT and safe
+
+
+class Refusal(Struct, frozen=True):
+    """A refusal that has no decision: the code, the place and what was expected there."""
+
+    reason: Reason
+    where: str
+    message: str
+
+
+class Report(Struct, frozen=True, kw_only=True):
+    """What became of one proposal, for the planner's client, the operator and the log.
+
+    Args:
+        judged: both gates' answers; None when an exception refused it first.
+        refusal: set exactly when there is no decision.
+        outcome: how the released action ended; None when nothing was released.
+        reasons: why a released action was not begun or was aborted.
+        influences: inputs that mentioned what the action carries.
+        seq: number of the decision's record, None when none could be written.
+        outcome_recorded: False when the store failed after the robot had moved; the release
+            then stays open until it is resolved.
+    """
+
+    judged: Judged | None
+    refusal: Refusal | None = None
+    outcome: Outcome | None = None
+    reasons: Findings = ()
+    influences: tuple[Influence, ...] = ()
+    seq: int | None = None
+    outcome_recorded: bool = True
+
+
+def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:
+    """Return the record of one decision (e_i of `eq:log` and every input of a replay)."""
+    decision, mission = judged.decision, judged.verified.mission
+    share = deviation(decision.findings, {})
+    snapshot = judged.state.snapshot if judged.state is not None else None
+    return Entry(
+        kind="decision",
+        time_ms=judged.now.utc_ms,
+        decision=decision.verdict,
+        mid=mission.mid,
+        action=judged.action_digest,
+        state=NONE if snapshot is None else digest_of(Tag.STATE, snapshot),
+        open={
+            "version": mission.version,
+            "mission": judged.verified.digest,
+            "labels": judged.action.provenance,
+            "reasons": list(decision.reasons),
+            "safety": _safety_summary(judged.safety),
+            "grant": NONE if decision.match is None else decision.match.indexed.grant.id,
+            "required": 1 if decision.need is None else decision.need.required,
+            "risk": 0 if decision.need is None else decision.need.risk,
+            "deviation": [share.numerator, share.denominator],
+            "weights": "equal",
+            "ticket": judged.ticket if judged.released else NONE,
+        },
+        sealed={
+            "action": judged.action,
+            "approvals": judged.approvals,
+            "findings": decision.findings,
+            "influences": influences,
+            "now": judged.now,
+            "standing": [] if judged.standing is None else [judged.standing],
+            "state": []
+            if judged.state is None
+            else [{"snapshot": snapshot, "arrived_mono_ms": judged.state.arrived_mono_ms}],
+        },
+    )
+
+
+def outcome_entry(
+    judged: Judged, outcome: Outcome, findings: Findings, used: Spend, now: Now
+) -> Entry:
+    """Return the record of how a released action ended."""
+    mission = judged.verified.mission
+    return Entry(
+        kind="outcome",
+        time_ms=now.utc_ms,
+        decision=outcome,
+        mid=mission.mid,
+        action=judged.action_digest,
+        open={
+            "version": mission.version,
+            "ticket": judged.ticket,
+            "reasons": list(dict.fromkeys(finding.reason for finding in findings)),
+            "used": msgspec.to_builtins(used),
+        },
+        sealed={"findings": findings},
+    )
+
+
+def refusal_entry(error: AuthGuardError, time_ms: int) -> Entry:
+    """Return the record of a refusal that has no decision."""
+    return Entry(
+        kind="refusal",
+        time_ms=time_ms,
+        decision=Verdict.REJECT,
+        open={"reasons": [error.reason], "safety": NOT_EVALUATED},
+        sealed={"where": error.where, "message": error.message},
+    )
+
+
+def stop_entry(by: Identifier, *, is_planner: bool) -> Callable[[int], Entry]:
+    """Return what makes the record of a stop, once there is a time for it."""
+    return lambda at: Entry(
+        kind="stop", time_ms=at, decision="stop", open={"by": by, "planner": is_planner}
+    )
+
+
+def alert_entry(what: str, mid: MissionId, now: Now) -> Entry:
+    """Return the record of an alert; it changes no authority."""
+    return Entry(kind="alert", time_ms=now.utc_ms, decision="alert", mid=mid, open={"what": what})
+
+
+def fault_finding(error: AuthGuardError) -> Finding:
+    """Return an exception as the finding that ends a lease."""
+    return Finding(error.where or "gate", error.reason, "a working part", error.message)
+
+
+def _safety_summary(safety: SafetyDecision | None) -> Any:
+    if safety is None:
+        return NOT_EVALUATED
+    return {"safe": safety.safe, "hazards": [finding.hazard for finding in safety.findings]}

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The safety gate's configuration, signed by a safety officer under its own tag."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from msgspec import Struct
+
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.identifiers import (
+    ActionType,
+    Count,
+    Digest,
+    Identifier,
+    ObjectId,
+    RegionId,
+    RobotId,
+    VariableId,
+)
+from authguard_r.core.ports import Verifier
+from authguard_r.core.quantities import Now
+from authguard_r.core.token import open_token
+from authguard_r.site.model import Site, profile_digest
+
+#: Stands for the action's own object in an `Executable` rule.
+THE_OBJECT = "the-object"
+
+
+class Executable(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An action type that can only be carried out while a variable has a value.
+
+    Args:
+        type: the action type.
+        variable: the state variable.
+        equals: the value it must have; `the-object` stands for the action's own object.
+    """
+
+    type: ActionType
+    variable: VariableId
+    equals: Identifier
+
+
+class SafetyConfig(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
+    """What is physically safe for one robot at one site.
+
+    Args:
+        schema: version of this format.
+        id: name of the configuration.
+        version: grows with each change.
+        rid: the robot.
+        profile: digest of the capability profile whose envelope this is.
+        max_speed_mm_s: top speed.
+        max_force_mn: top gripping force, millinewton.
+        max_payload_g: heaviest load.
+        masses_g: mass of every object that may be lifted.
+        keep_out: regions that the robot must never be sent to or through.
+        human_distance_mm: at or under this distance to a person, `human_speed_mm_s` holds.
+        human_speed_mm_s: top speed near people.
+        max_age_ms: how old a reading may be.
+        executable: rules of what can be carried out in which state.
+    """
+
+    schema: Literal["authguard-r/safety/1"]
+    id: Identifier
+    version: Count
+    rid: RobotId
+    profile: Digest
+    max_speed_mm_s: Count
+    max_force_mn: Count
+    max_payload_g: Count
+    masses_g: dict[ObjectId, Count]
+    keep_out: tuple[RegionId, ...]
+    human_distance_mm: Count
+    human_speed_mm_s: Count
+    max_age_ms: Count
+    executable: tuple[Executable, ...] = ()
+
+
+def safety_digest(config: SafetyConfig) -> Digest:
+    """Return the digest under which the log names the configuration."""
+    return digest_of(Tag.SAFETY, config)
+
+
+def open_config(data: bytes, *, verifier: Verifier, now: Now) -> SafetyConfig:
+    """Return the configuration in a token signed by a safety officer.
+
+    Raises:
+        MalformedError: no canonical configuration.
+        AuthenticityError: certificate, signature or role does not hold.
+    """
+    config, _, _ = open_token(
+        data,
+        SafetyConfig,
+        tag=Tag.SAFETY,
+        roles=frozenset({"safety_officer"}),
+        verifier=verifier,
+        now=now,
+    )
+    return config
+
+
+def default_config(site: Site, rid: RobotId) -> SafetyConfig:
+    """Return the envelope of the robot's own profile, with hazardous regions kept out.
+
+    For set-ups without a safety officer's own configuration. Near people it is slow; it lifts
+    what the site knows the mass of; it goes nowhere hazardous.
+    """
+    profile = site.robots[rid].profile
+    return SafetyConfig(
+        schema="authguard-r/safety/1",
+        id=f"{site.id}-default",
+        version=site.version,
+        rid=rid,
+        profile=profile_digest(profile),
+        max_speed_mm_s=profile.max_speed_mm_s,
+        max_force_mn=profile.max_force_mn,
+        max_payload_g=profile.max_payload_g,
+        masses_g={item: model.mass_g for item, model in site.objects.items()},
+        keep_out=tuple(sorted(r for r, m in site.regions.items() if "hazardous" in m.tags)),
+        human_distance_mm=1_200,
+        human_speed_mm_s=300,
+        max_age_ms=1_000,
+        executable=(
+            Executable(type=ActionType("pick"), variable=VariableId("holding"), equals="nothing"),
+            Executable(type=ActionType("place"), variable=VariableId("holding"), equals=THE_OBJECT),
+        ),
+    )
