@@ -61,8 +61,8 @@ from authguard_r.report import (
 )
 
 T = TypeVar("T")
-#: The lease is looked at this often, in milliseconds; at least every 100.
-WATCH_MS = 50
+#: The lease is looked at this often, in milliseconds; never more seldom than every 100.
+WATCH_MS = 100
 
 
 class Enforcer:

@@ -45,7 +45,7 @@ class Ledger:
         salts: Callable[[int], bytes],
         genesis: dict[str, object],
     ) -> None:
-        self._store = store
+        self.store = store
         self._clock = clock
         self._salts = salts
         self.robot = robot
@@ -87,7 +87,7 @@ class Ledger:
             turn.put("clock", "high", encode_fast(now))
             return result, act
 
-        result, act = self._store.run(turn_job)
+        result, act = self.store.run(turn_job)
         self._high = act.now
         self._standings.update(act.held)
         return result
@@ -111,11 +111,11 @@ class Ledger:
             made = entry(time_ms)
             return append(turn, made, salts=self._salts(16 * len(made.sealed)))
 
-        return self._store.run(turn_job)
+        return self.store.run(turn_job)
 
     def close(self) -> None:
         """Let go of the store."""
-        self._store.close()
+        self.store.close()
 
     def _open(self, turn: Turn, genesis: dict[str, object]) -> None:
         held = turn.get("clock", "high")

@@ -18,6 +18,7 @@ from authguard_r.approvals import open_selection
 from authguard_r.audit.record import Entry
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks.guards import guard_finding
+from authguard_r.core.checks.mission import binding_findings
 from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.facts import SiteFacts
@@ -202,15 +203,10 @@ class Management:
 
     def _require_usable(self, verified: VerifiedMission, act: Act) -> None:
         """Refuse what could never be carried out here: robot, profile, site, time."""
-        mission, robot = verified.mission, self._facts.robot
-        held = (
-            (Reason.ROBOT_MISMATCH, "mission.rid", mission.rid, robot.rid),
-            (Reason.PROFILE_MISMATCH, "mission.profile", mission.profile, robot.profile),
-            (Reason.SITE_MISMATCH, "mission.site", mission.site, self._facts.digest),
-        )
-        for reason, where, signed, local in held:
-            if signed != local:
-                raise _refuse(reason, f"expected `{local}`, got `{signed}`", where)
+        mission = verified.mission
+        for finding in binding_findings(mission, self._facts):
+            text = f"expected `{finding.got}`, got `{finding.expected}`"
+            raise _refuse(finding.reason, text, finding.field)
         if act.now.utc_ms > verified.expiry_ms:
             raise _refuse(Reason.EXPIRED, f"it ended at {mission.expiry}", "mission.expiry")
 

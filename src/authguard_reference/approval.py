@@ -80,6 +80,7 @@ def approval_finding(
     mission: Json,
     approvals: list[Json],
     now: Json,
+    prompts: int,
 ) -> str:
     """Carry out step 7 for the matched grant.
 
@@ -90,16 +91,20 @@ def approval_finding(
         mission: The mission.
         approvals: The authentic answers.
         now: The two clocks.
+        prompts: How often people were asked so far.
 
     Returns:
         The reason code, or "" when the step passes.
     """
     if required <= 1:
         return ""
-    if request is None:
-        return "APPROVAL_REQUIRED"
-    if request["scope"] != expected["scope"] or request["situation"] != expected["situation"]:
-        return "APPROVAL_REQUIRED"
+    if (
+        request is None
+        or request["scope"] != expected["scope"]
+        or request["situation"] != expected["situation"]
+    ):
+        exhausted = prompts >= mission["budgets"].get("prompts", 0)
+        return "BUDGET_EXCEEDED" if exhausted else "APPROVAL_REQUIRED"
     expected = {**expected, "counter": request.get("counter", 0)}
     if now["utc_ms"] > request["expires_ms"]:
         return "APPROVAL_TIMEOUT"
@@ -169,7 +174,14 @@ def step_7(
     expected = binding_of(mission, digest, grant, action, robot=facts["robot"])
     expected["situation"] = situation_of(mission, grant, tier, state=state, facts=facts, now=now)
     request = None if standing is None else standing.get("requests", {}).get(grant["id"])
+    prompts = 0 if standing is None else standing.get("prompts", 0)
     finding = approval_finding(
-        expected, request, required=required, mission=mission, approvals=approvals, now=now
+        expected,
+        request,
+        required=required,
+        mission=mission,
+        approvals=approvals,
+        now=now,
+        prompts=prompts,
     )
     return ([finding] if finding != "" else []), required, risk

@@ -173,21 +173,6 @@ def load_site(path: Path) -> Site:
     return read_site(path)
 
 
-def bundled_hospital() -> Path:
-    """Return the folder of the hospital example: in the wheel, or in the checkout.
-
-    Raises:
-        EnvironmentFault: neither is there.
-    """
-    package = Path(__file__).resolve().parent.parent
-    for folder in (package / "sim" / "hospital", package.parents[1] / "examples" / "hospital"):
-        if (folder / "site.yaml").is_file():
-            return folder
-    raise EnvironmentFault(
-        "the hospital example is missing", reason=Reason.STORE_UNAVAILABLE, where=str(package)
-    )
-
-
 def _without_nulls(plain: Any) -> Any:
     if isinstance(plain, dict):
         return {key: _without_nulls(value) for key, value in plain.items() if value is not None}

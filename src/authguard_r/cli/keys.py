@@ -11,13 +11,14 @@ import typer
 from cryptography import x509
 
 from authguard_r.assembly import demo_members
-from authguard_r.cli.inputs import JsonFlag, bundled_hospital, wall_now
+from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_trust
+from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.source import read_site
 
 app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)

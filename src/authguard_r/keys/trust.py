@@ -11,6 +11,7 @@ from pathlib import Path
 
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
+from msgspec import Struct
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.identifiers import Digest, RobotId
@@ -20,6 +21,16 @@ from authguard_r.core.token import Principal
 from authguard_r.keys.certificate import Leaf, Role, is_demo, load, walk
 from authguard_r.keys.ed25519 import require_signature, require_sound
 from authguard_r.keys.revocation import RevocationList, read_list
+
+#: Chains that are kept once they were walked.
+_MOST_KEPT = 256
+
+
+class _Identified(Struct, frozen=True):
+    """A chain that held at `since_ms`; it holds until the leaf's own end, dates being intervals."""
+
+    leaf: Leaf
+    since_ms: int
 
 
 class Trust:
@@ -36,6 +47,7 @@ class Trust:
         self.root = root
         self._lists = lists
         self._root_der = root.public_bytes(Encoding.DER)
+        self._identified: dict[tuple[bytes, ...], _Identified] = {}
 
     @property
     def demo(self) -> bool:
@@ -48,6 +60,16 @@ class Trust:
         Raises:
             AuthenticityError: the chain does not hold at `now`.
         """
+        known = self._identified.get(chain)
+        if known is not None and known.since_ms <= now.utc_ms <= known.leaf.not_after_ms:
+            return known.leaf
+        leaf = self._identify(chain, now)
+        if len(self._identified) >= _MOST_KEPT:
+            self._identified.clear()
+        self._identified[chain] = _Identified(leaf, now.utc_ms)
+        return leaf
+
+    def _identify(self, chain: tuple[bytes, ...], now: Now) -> Leaf:
         if len(chain) != 2:
             raise AuthenticityError(
                 f"expected a chain of 2 certificates, got {len(chain)}",

@@ -134,6 +134,7 @@ class SymbolicRobot:
         self._path_done_mm = 0
         self._left_ms = 0
         self._token: bytes | None = None
+        self._snapshot: Snapshot | None = None
         self._seen_ms = 0
         self._observe()
 
@@ -161,7 +162,9 @@ class SymbolicRobot:
     # StateSource
 
     def latest(self) -> bytes | None:
-        """Return the newest signed snapshot."""
+        """Return the newest snapshot, signed when somebody asks for it."""
+        if self._token is None and self._snapshot is not None:
+            self._token = sign_object(self._snapshot, Tag.STATE, self._estimator)
         return self._token
 
     # Controller
@@ -186,6 +189,8 @@ class SymbolicRobot:
         self.trace.append(
             Executed(action=action, before=self.state, utc_ms=self.wall_ms(), outcome=None)
         )
+        if took == 0:
+            self._finish(flight)
         return flight
 
     def stop(self) -> None:
@@ -268,14 +273,14 @@ class SymbolicRobot:
         if not lost:
             self._seen_ms = self.elapsed_ms
         self._seq += 1
-        snapshot = snapshot_of(
+        self._token = None
+        self._snapshot = snapshot_of(
             self.state,
             robot=self.rid,
             epoch=self._epoch,
             seq=self._seq,
             pose_age_ms=self.elapsed_ms - self._seen_ms,
         )
-        self._token = sign_object(snapshot, Tag.STATE, self._estimator)
 
 
 def snapshot_of(

@@ -27,9 +27,8 @@ MAX_BYTES = ParameterId("max_bytes")
 
 #: What the gripper holds when it holds nothing.
 NOTHING = "nothing"
-#: Milliseconds that a tool takes.
+#: Milliseconds that a grip takes; looking around and speaking are over at once.
 GRIP_MS = 2_000
-INSTANT_MS = 500
 #: Battery, per mille of full, used by a meter of motion.
 BATTERY_PER_METER = 1
 
@@ -157,7 +156,7 @@ def duration_ms(site: Site, state: WorldState, action: Action) -> int | None:
     asked = action.params.get(DURATION)
     if asked is not None:
         return int(asked)
-    return GRIP_MS if action.type in {"pick", "place"} else INSTANT_MS
+    return GRIP_MS if action.type in {"pick", "place"} else 0
 
 
 def _moved(

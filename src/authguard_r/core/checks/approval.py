@@ -59,7 +59,7 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
         return ()
     request = case.standing.requests.get(grant.id) if case.standing is not None else None
     if request is None or (request.scope, request.situation) != (need.scope, need.situation):
-        return (_finding(Reason.APPROVAL_REQUIRED, need.required, "no open request"),)
+        return _ask(case, need)
     if case.now.utc_ms > request.expires_ms:
         return (_finding(Reason.APPROVAL_TIMEOUT, need.required, "the request ran out"),)
     fitting = [a for a in case.approvals if _fits(a, case, grant, request)]
@@ -69,6 +69,16 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
     if len(approvers) >= need.required - 1:
         return ()
     return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{len(approvers) + 1} of them"),)
+
+
+def _ask(case: Case, need: Need) -> Findings:
+    """Ask, unless people were asked as often as the mission allows (L6)."""
+    most = case.verified.mission.budgets.prompts
+    asked = case.standing.prompts if case.standing is not None else 0
+    if asked >= most:
+        place = "budgets.prompts"
+        return (Finding(place, Reason.BUDGET_EXCEEDED, f"at most {most}", str(asked + 1)),)
+    return (_finding(Reason.APPROVAL_REQUIRED, need.required, "no open request"),)
 
 
 def _fits(item: VerifiedApproval, case: Case, grant: Grant, request: ApprovalRequest) -> bool:

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
+from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.lifecycle import REFUSAL
+from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 
@@ -61,13 +63,13 @@ def check_registry(case: Case) -> Findings:
 
 def check_robot(case: Case) -> Findings:
     """(5) The mission names this robot, its capability profile and this site."""
-    mission, facts = case.verified.mission, case.facts
+    return binding_findings(case.verified.mission, case.facts)
+
+
+def binding_findings(mission: Mission, facts: SiteFacts) -> Findings:
+    """Return which of robot, profile and site is not the gate's own; activation asks this too."""
     robot = facts.robot
-    if (
-        mission.rid == robot.rid
-        and mission.profile == robot.profile
-        and mission.site == facts.digest
-    ):
+    if (mission.rid, mission.profile, mission.site) == (robot.rid, robot.profile, facts.digest):
         return ()
     held = (
         ("mission.rid", Reason.ROBOT_MISMATCH, mission.rid, robot.rid),

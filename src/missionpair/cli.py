@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair`: attack the gate, and measure."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+from authguard_r.core.errors import AuthGuardError
+from missionpair.ablation import CHECKS, without
+from missionpair.bench import Bench, make_bench
+from missionpair.selfchecks import SELF_CHECKS
+from missionpair.suite import ATTACKS, BENIGN
+from missionpair.systems import System, run_trial
+from missionpair.tables import Measured, as_text, category_table, results_table
+
+app = typer.Typer(
+    name="missionpair",
+    help="Attacks that are safe and unauthorized, and how many of them get through.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def _group() -> None:
+    """Keep `validate` a command of its own."""
+
+
+@app.command("validate")
+def validate(
+    remove: Annotated[
+        list[str] | None,
+        typer.Option("--without", help="Remove a check from the gate first; may be repeated."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Run the hand-constructed suite under three systems and print the paper's two tables."""
+    unknown = sorted(set(remove or ()) - set(CHECKS))
+    if unknown:
+        raise typer.BadParameter(f"no check is called `{unknown[0]}`", param_hint="--without")
+    with tempfile.TemporaryDirectory(prefix="missionpair-") as folder:
+        bench = make_bench(Path(folder) / "trust")
+        checks = [] if remove else _self_checks(bench, show=not as_json)
+        with without(*(remove or ())):
+            measured = run_suite(bench)
+    payload = _payload(checks, measured)
+    if as_json:
+        sys.stdout.write(json.dumps(payload) + "\n")
+    else:
+        sys.stdout.write("\n".join(_lines(payload)) + "\n")
+    return 0 if payload["as_the_paper"] else 1
+
+
+def run_suite(bench: Bench) -> list[Measured]:
+    """Run every trial anew under each system."""
+    return [
+        Measured(trial.name, trial.category, system, run_trial(trial.prepare(bench), system))
+        for system in System
+        for trial in (*ATTACKS, *BENIGN)
+    ]
+
+
+def _self_checks(bench: Bench, *, show: bool) -> list[dict[str, Any]]:
+    """Run the sixteen checks, saying how far we are."""
+    done: list[dict[str, Any]] = []
+    for number, check in enumerate(SELF_CHECKS, 1):
+        holds = check.holds(bench)
+        done.append({"group": check.group, "name": check.name, "holds": holds})
+        if show:
+            sys.stderr.write(f"\rself-check {number}/{len(SELF_CHECKS)}")
+            sys.stderr.flush()
+    if show:
+        sys.stderr.write("\n")
+    return done
+
+
+def _payload(checks: list[dict[str, Any]], measured: list[Measured]) -> dict[str, Any]:
+    results = results_table(measured)
+    wanted = [
+        {"UASR": 1.0, "SCMHR": 1.0, "BTCR": 1.0, "FRR": 0.0, "SU": 0.0},
+        {"UASR": 1.0, "SCMHR": 1.0, "BTCR": 1.0, "FRR": 0.0, "SU": 0.0},
+        {"UASR": 0.0, "SCMHR": 0.0, "BTCR": 1.0, "FRR": 0.0, "SU": 1.0},
+    ]
+    same = all(
+        all(row[name] == value for name, value in want.items())
+        for row, want in zip(results, wanted, strict=True)
+    )
+    return {
+        "self_checks": checks,
+        "self_checks_passed": sum(check["holds"] for check in checks),
+        "attacks": len(ATTACKS),
+        "benign": len(BENIGN),
+        "results": results,
+        "categories": category_table(measured),
+        "trials": [
+            {
+                "trial": item.trial,
+                "category": item.category,
+                "system": str(item.system),
+                "executed": len(item.result.effects),
+                "unauthorized": item.result.unauthorized,
+                "scmh": item.result.hijacked,
+                "completed": item.result.completed,
+                "reasons": list(item.result.reasons),
+                "oracle": [list(effect.reasons) for effect in item.result.effects],
+            }
+            for item in measured
+        ],
+        "as_the_paper": same and all(check["holds"] for check in checks),
+    }
+
+
+def _lines(payload: dict[str, Any]) -> list[str]:
+    lines = []
+    if payload["self_checks"]:
+        passed, total = payload["self_checks_passed"], len(payload["self_checks"])
+        lines = [f"self-checks: {passed}/{total}"]
+        lines += [
+            f"  FAILED {check['group']}: {check['name']}"
+            for check in payload["self_checks"]
+            if not check["holds"]
+        ]
+    lines += ["", *as_text(payload["results"]), "", *as_text(payload["categories"])]
+    return lines
+
+
+def main() -> None:
+    """Run one command and exit with its code."""
+    try:
+        result = app(prog_name="missionpair", standalone_mode=False)
+    except typer.Exit as stop:
+        sys.exit(stop.exit_code)
+    except TyperException as error:
+        show = getattr(error, "format_message", error.__str__)
+        sys.stderr.write(f"USAGE: {show()}\n")
+        sys.exit(2)
+    except AuthGuardError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(5)
+    sys.exit(result if isinstance(result, int) else 0)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`decide` is the specification: it agrees with the oracle, case by case (alg:authguard).
+
+The oracle is a slow transcription that shares no line with the gate. Agreement alone could be
+agreement on refusing, so the shares are asserted: what is accepted, and every reason alone.
+"""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from authguard_r.core.decide import Verdict
+from authguard_r.core.reasons import PROTECTED
+from cases import ALONE, Case, accepted_case, broken_case, decide_case, oracle_case
+
+#: Cases of each kind; together at least 20,000, at least 30 % of them accepted.
+ACCEPTED, BROKEN, EACH = 8_000, 7_000, 150
+RELAXED = settings(
+    deadline=None,
+    database=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)
+SEEDS = st.integers(min_value=0, max_value=2**63)
+
+
+def agree(case: Case) -> tuple[str, list[str]]:
+    """Assert that gate and oracle say the same, and return it."""
+    ours, theirs = decide_case(case), oracle_case(case)
+    reasons = [str(reason) for reason in ours.reasons]
+    assert (str(ours.verdict), reasons) == (theirs["verdict"], theirs["reasons"])
+    if ours.match is None or ours.need is None:
+        assert theirs["grant"] is None
+        return str(ours.verdict), reasons
+    grant = ours.match.indexed.grant
+    assert grant.id == theirs["grant"]
+    assert grant.alternatives.index(ours.match.row) == theirs["row"]
+    assert (ours.need.required, ours.need.risk) == (theirs["required"], theirs["risk"])
+    return str(ours.verdict), reasons
+
+
+def test_the_case_counts_add_up_to_what_is_claimed() -> None:
+    total = ACCEPTED + BROKEN + EACH * len(ALONE)
+    assert total >= 20_000
+    assert ACCEPTED / total >= 0.30
+
+
+def test_every_reason_that_decide_can_give_has_a_case_of_its_own() -> None:
+    assert set(ALONE) == {str(reason) for reason in PROTECTED}
+
+
+def test_gate_and_oracle_agree_on_accepted_cases() -> None:
+    seen = 0
+
+    @settings(RELAXED, max_examples=ACCEPTED)
+    @given(SEEDS)
+    def holds(seed: int) -> None:
+        nonlocal seen
+        verdict, reasons = agree(accepted_case(Random(seed)))
+        assert (verdict, reasons) == (Verdict.ACCEPT, [])
+        seen += 1
+
+    holds()
+    assert seen >= ACCEPTED
+
+
+@pytest.mark.parametrize("reason", sorted(ALONE))
+def test_gate_and_oracle_agree_on_each_reason_alone(reason: str) -> None:
+    alone = 0
+
+    @settings(RELAXED, max_examples=EACH)
+    @given(SEEDS)
+    def holds(seed: int) -> None:
+        nonlocal alone
+        _, reasons = agree(ALONE[reason](Random(seed)))
+        assert reason in reasons
+        alone += reasons == [reason]
+
+    holds()
+    assert alone >= 100
+
+
+def test_gate_and_oracle_agree_on_whatever_is_broken() -> None:
+    seen = 0
+
+    @settings(RELAXED, max_examples=BROKEN)
+    @given(SEEDS, st.integers(min_value=1, max_value=4))
+    def holds(seed: int, changes: int) -> None:
+        nonlocal seen
+        agree(broken_case(Random(seed), changes))
+        seen += 1
+
+    holds()
+    assert seen >= BROKEN
