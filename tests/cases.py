@@ -20,7 +20,8 @@ import worlds
 from authguard_r.core.action import Action, ActionMeta, scope_of
 from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
 from authguard_r.core.checks.approval import Situation
-from authguard_r.core.decide import Decision, decide
+from authguard_r.core.decide import decide
+from authguard_r.core.decision import Decision
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.lifecycle import Status
@@ -732,3 +733,8 @@ def broken_case(rnd: Random, count: int) -> Case:
         part = rnd.choice(["action", "state", "now", "standing", "approvals", "facts", "mission"])
         case = replace(case, **{part: getattr(other, part)})
     return case
+
+
+def agree_accepts(case: Case) -> tuple[bool, bool]:
+    """Return whether the gate and whether the oracle accepts."""
+    return str(decide_case(case).verdict) == "accept", oracle_case(case)["verdict"] == "accept"

@@ -43,7 +43,8 @@ HOSPITAL = ROOT / "examples" / "hospital"
 RID = RobotId("courier-1")
 OTHER = RobotId("lifter-1")
 #: The story's instant: today's keys are valid at it, and nothing depends on the real clock.
-START_MS = int(datetime.now(UTC).replace(hour=14, minute=5, second=0, microsecond=0).timestamp()) * 1000
+_BEGIN = datetime.now(UTC).replace(hour=14, minute=5, second=0, microsecond=0)
+START_MS = int(_BEGIN.timestamp()) * 1000
 NOW = Now(START_MS, 10_000)
 
 

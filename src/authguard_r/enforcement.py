@@ -15,8 +15,8 @@ import msgspec
 
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.checks.grant import spend_of
-from authguard_r.core.checks.provenance import label_fields
-from authguard_r.core.decide import Decision, Verdict, decide
+from authguard_r.core.decide import decide
+from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, ControllerError
 from authguard_r.core.facts import SiteFacts
@@ -29,7 +29,6 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import (
-    ApprovalRequest,
     Outcome,
     Spend,
     Standing,
@@ -48,6 +47,7 @@ from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger, Influence
+from authguard_r.normalize.labels import label_fields
 from authguard_r.report import (
     Judged,
     Refusal,
@@ -55,6 +55,7 @@ from authguard_r.report import (
     alert_entry,
     decision_entry,
     fault_finding,
+    open_question,
     outcome_entry,
     refusal_entry,
     stop_entry,
@@ -185,7 +186,7 @@ class Enforcer:
             state=state,
             now=now,
             ticket=digest_of(Tag.ACTION, (digested, act.head()[0])),
-            request=_request(decision, verified, standing, now),
+            request=open_question(decision, verified, standing, now),
             approvals=answered.tokens,
         )
 
@@ -355,29 +356,4 @@ def evaluate(
         state=state,
         now=now,
         ticket=digested,
-    )
-
-
-def _request(
-    decision: Decision, verified: VerifiedMission, standing: Standing | None, now: Now
-) -> ApprovalRequest | None:
-    """Return a new approval request, unless this very question is open already."""
-    need, match = decision.need, decision.match
-    if decision.verdict is not Verdict.REQUEST_APPROVAL or standing is None:
-        return None
-    if need is None or match is None:  # pragma: no cover - step 7 was reached
-        return None
-    grant = match.indexed.grant.id
-    open_now = standing.requests.get(grant)
-    if open_now is not None and (open_now.scope, open_now.situation) == (
-        need.scope,
-        need.situation,
-    ):
-        return None
-    return ApprovalRequest(
-        counter=standing.counter + 1,
-        scope=need.scope,
-        situation=need.situation,
-        required=need.required,
-        expires_ms=now.utc_ms + verified.mission.risk_policy.valid_ms,
     )

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
-from authguard_r.core.decide import Decision, Verdict
+from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.finding import Finding, Findings, deviation
@@ -97,6 +97,31 @@ class Report(Struct, frozen=True, kw_only=True):
     influences: tuple[Influence, ...] = ()
     seq: int | None = None
     outcome_recorded: bool = True
+
+
+def open_question(
+    decision: Decision, verified: VerifiedMission, standing: Standing | None, now: Now
+) -> ApprovalRequest | None:
+    """Return a new approval request, unless this very question is open already."""
+    need, match = decision.need, decision.match
+    if decision.verdict is not Verdict.REQUEST_APPROVAL or standing is None:
+        return None
+    if need is None or match is None:  # pragma: no cover - step 7 was reached
+        return None
+    grant = match.indexed.grant.id
+    open_now = standing.requests.get(grant)
+    if open_now is not None and (open_now.scope, open_now.situation) == (
+        need.scope,
+        need.situation,
+    ):
+        return None
+    return ApprovalRequest(
+        counter=standing.counter + 1,
+        scope=need.scope,
+        situation=need.situation,
+        required=need.required,
+        expires_ms=now.utc_ms + verified.mission.risk_policy.valid_ms,
+    )
 
 
 def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:

@@ -51,7 +51,7 @@ def standing_finding(lease: Json, standing: Json | None) -> str:
     if standing is None or standing["mid"] != lease["mid"]:
         return "MISSION_UNKNOWN"
     if standing["digest"] != lease["digest"]:
-        return "SUPERSEDED"
+        return "SUPERSEDED" if standing["version"] > lease["version"] else "MISSION_UNKNOWN"
     return STATUS_REFUSAL[standing["status"]]
 
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.core.decide import Verdict
+from authguard_r.core.decision import Verdict
 from authguard_r.core.reasons import PROTECTED
 from cases import ALONE, Case, accepted_case, broken_case, decide_case, oracle_case
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import typer
 
-from authguard_r.cli import audit, decide, demo, doctor, keys, mission, normalize, run, site
+from authguard_r.cli import audit, decide, demo, doctor, keys, normalize, orders, run, site
 
 app = typer.Typer(
     name="authguard",
@@ -19,7 +19,7 @@ app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 app.add_typer(keys.app, name="keys")
 app.add_typer(site.app, name="site")
-app.add_typer(mission.app, name="mission")
+app.add_typer(orders.app, name="mission")
 app.command("normalize")(normalize.normalize_command)
 app.command("decide")(decide.decide_command)
 app.command("run")(run.run_command)

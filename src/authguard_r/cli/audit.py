@@ -46,7 +46,9 @@ def verify(
         raise
     payload = msgspec.to_builtins(found)
     if found.whole:
-        lines = [f"whole: {found.size} records, head {found.head}", f"anchored: {found.anchored}"]
+        covers = f", {found.anchored_size} of {found.size} records" if found.anchored_size else ""
+        lines = [f"whole: {found.size} records, head {found.head}"]
+        lines += [f"anchored: {found.anchored}{covers}"]
         if not found.anchored_size:
             lines.append("  nothing outside says that no record is missing at the end")
     else:

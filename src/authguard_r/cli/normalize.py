@@ -24,13 +24,13 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.out import action_json, emit
 from authguard_r.core.action import Action
-from authguard_r.core.checks.provenance import label_fields
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.provenance import Label
 from authguard_r.core.token import VerifiedMission
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.labels import label_fields
 from authguard_r.normalize.parse import read_json
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from authguard_r.core.action import Action
-from authguard_r.core.decide import Decision, Verdict
+from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,

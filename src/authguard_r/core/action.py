@@ -8,19 +8,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from authguard_r.core.identifiers import (
-    ActionType,
-    Count,
-    Digest,
-    Identifier,
-    Integer,
-    MissionId,
-    ObjectId,
-    ParameterId,
-    RegionId,
-    Timestamp,
-    ToolId,
-)
+from authguard_r.core import identifiers as ids
 from authguard_r.core.provenance import Label
 
 
@@ -35,11 +23,11 @@ class ActionMeta(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         evidence: digest of the exact bytes that the planner wrote.
     """
 
-    planner: Identifier
-    timestamp: Timestamp
-    evidence: Digest
-    mission: MissionId | None = None
-    mission_version: Count = 0
+    planner: ids.Identifier
+    timestamp: ids.Timestamp
+    evidence: ids.Digest
+    mission: ids.MissionId | None = None
+    mission_version: ids.Count = 0
 
 
 class Action(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -57,13 +45,13 @@ class Action(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
         meta: set by the enforcer; absent in a what-if that names none.
     """
 
-    type: ActionType
-    tool: ToolId
-    object: ObjectId | None = None
-    source: RegionId | None = None
-    destination: RegionId | None = None
-    route: tuple[RegionId, ...] = ()
-    params: dict[ParameterId, Integer] = {}
+    type: ids.ActionType
+    tool: ids.ToolId
+    object: ids.ObjectId | None = None
+    source: ids.RegionId | None = None
+    destination: ids.RegionId | None = None
+    route: tuple[ids.RegionId, ...] = ()
+    params: dict[ids.ParameterId, ids.Integer] = {}
     provenance: dict[str, Label] = {}
     meta: ActionMeta | None = None
 
@@ -75,13 +63,13 @@ class ActionScope(Struct, frozen=True, omit_defaults=True, kw_only=True):
     the same effect (docs/adr/0004-action-scope.md).
     """
 
-    type: ActionType
-    tool: ToolId
-    object: ObjectId | None = None
-    source: RegionId | None = None
-    destination: RegionId | None = None
-    route: tuple[RegionId, ...] = ()
-    params: dict[ParameterId, Integer] = {}
+    type: ids.ActionType
+    tool: ids.ToolId
+    object: ids.ObjectId | None = None
+    source: ids.RegionId | None = None
+    destination: ids.RegionId | None = None
+    route: tuple[ids.RegionId, ...] = ()
+    params: dict[ids.ParameterId, ids.Integer] = {}
 
 
 def scope_of(action: Action) -> ActionScope:

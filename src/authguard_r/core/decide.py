@@ -17,75 +17,21 @@ order is primary. Spec page: docs/spec/decision.md
 
 from __future__ import annotations
 
-from enum import StrEnum
-
-from msgspec import Struct
-
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
-from authguard_r.core.checks import (
-    GRANT_CHECKS,
-    MISSION_CHECKS,
-    ROW_CHECKS,
-    Case,
-    check_certificate,
-)
-from authguard_r.core.checks.approval import Need, assess_need, check_approval
+from authguard_r.core.checks import GRANT_CHECKS, MISSION_CHECKS, ROW_CHECKS, Case
+from authguard_r.core.checks.approval import assess_need, check_approval
+from authguard_r.core.checks.mission import check_certificate
 from authguard_r.core.checks.provenance import selectable_rows
+from authguard_r.core.decision import Decision, Match, Verdict
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.finding import Finding, Findings, in_paper_order
+from authguard_r.core.finding import Finding, in_paper_order
 from authguard_r.core.mission import Row
 from authguard_r.core.quantities import Now
-from authguard_r.core.reasons import RETRYABLE, Reason
+from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import IndexedGrant, VerifiedMission
-
-
-class Verdict(StrEnum):
-    """The three answers of `alg:authguard`."""
-
-    ACCEPT = "accept"
-    REJECT = "reject"
-    REQUEST_APPROVAL = "request_approval"
-
-
-class Match(Struct, frozen=True, kw_only=True):
-    """The grant and row that fit best, and what still speaks against them."""
-
-    indexed: IndexedGrant
-    row: Row
-    findings: Findings
-
-
-class Decision(Struct, frozen=True, kw_only=True):
-    """What the gate decided and why. Not a truth value: read `verdict`.
-
-    Args:
-        verdict: the answer.
-        findings: every violated condition, primary first; empty exactly for `accept`.
-        match: the grant and row that the action was held against; None when step 1 stopped.
-        need: how many principals it takes, and what they must sign; None when step 1 stopped.
-    """
-
-    verdict: Verdict
-    findings: Findings
-    match: Match | None
-    need: Need | None
-
-    def __bool__(self) -> bool:
-        msg = "a decision has no truth value; compare `.verdict`"
-        raise TypeError(msg)
-
-    @property
-    def reasons(self) -> tuple[Reason, ...]:
-        """The codes of the findings, primary first, each once."""
-        return tuple(dict.fromkeys(finding.reason for finding in self.findings))
-
-    @property
-    def retryable(self) -> bool:
-        """True when the same proposal may pass later without a new signature."""
-        return bool(self.findings) and all(f.reason in RETRYABLE for f in self.findings)
 
 
 def decide(

@@ -13,7 +13,7 @@ from __future__ import annotations
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from enum import StrEnum
 from hashlib import sha256
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgspec
 import rfc8785
@@ -147,9 +147,10 @@ def _place(message: str, where: str) -> tuple[str, str]:
 def _plain(value: Any) -> Any:
     """Refuse what RFC 8785 would spell but signed data must not hold."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        items = cast("dict[str, Any]", value).items()
+        return {key: _plain(item) for key, item in items}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_plain(item) for item in cast("list[Any]", value)]
     if isinstance(value, str | bool | int):
         return value
     msg = f"signed data cannot hold a {type(value).__name__}"

@@ -9,17 +9,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from authguard_r.core import identifiers as ids
 from authguard_r.core.geometry import Polygon
-from authguard_r.core.identifiers import (
-    ActionType,
-    Digest,
-    ObjectId,
-    ParameterId,
-    RegionId,
-    RobotId,
-    ToolId,
-    VariableId,
-)
 
 
 class ParameterKind(Struct, frozen=True, kw_only=True):
@@ -35,7 +26,7 @@ class ParameterKind(Struct, frozen=True, kw_only=True):
     low: int
     high: int
     required: bool
-    monitored_by: VariableId | None = None
+    monitored_by: ids.VariableId | None = None
 
 
 class ActionKind(Struct, frozen=True, kw_only=True):
@@ -54,7 +45,7 @@ class ActionKind(Struct, frozen=True, kw_only=True):
     """
 
     fields: frozenset[str]
-    params: dict[ParameterId, ParameterKind]
+    params: dict[ids.ParameterId, ParameterKind]
     moves: bool = False
     waits: bool = False
     records: bool = False
@@ -80,16 +71,16 @@ class RobotFacts(Struct, frozen=True, kw_only=True):
         tools: for each action type that the robot can do, the tools that can do it.
     """
 
-    rid: RobotId
-    profile: Digest
-    tools: dict[ActionType, frozenset[ToolId]]
+    rid: ids.RobotId
+    profile: ids.Digest
+    tools: dict[ids.ActionType, frozenset[ids.ToolId]]
 
 
 class SiteFacts(Struct, frozen=True, kw_only=True):
     """The site model as the decision reads it; `digest` is the one a mission binds."""
 
-    digest: Digest
+    digest: ids.Digest
     robot: RobotFacts
-    regions: dict[RegionId, RegionFacts]
-    objects: dict[ObjectId, str]
-    vocabulary: dict[ActionType, ActionKind]
+    regions: dict[ids.RegionId, RegionFacts]
+    objects: dict[ids.ObjectId, str]
+    vocabulary: dict[ids.ActionType, ActionKind]

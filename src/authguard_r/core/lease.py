@@ -12,11 +12,11 @@ from msgspec import Struct
 
 from authguard_r.core.action import Action
 from authguard_r.core.checks.guards import guard_finding, unfit_finding
+from authguard_r.core.checks.mission import registry_findings
 from authguard_r.core.checks.place import place_findings
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings, in_paper_order
 from authguard_r.core.identifiers import Digest, GrantId, MissionId, RegionId, VariableId
-from authguard_r.core.lifecycle import REFUSAL
 from authguard_r.core.mission import Grant, Guard, Row
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
@@ -103,10 +103,20 @@ def still(
     standing: Standing | None,
 ) -> Findings:
     """Return why the robot may not go on, empty while it may."""
-    found = [*_time(lease, now), *_registry(lease, standing)]
+    found = [
+        *_time(lease, now),
+        *registry_findings(standing, mid=lease.mid, version=lease.version, digest=lease.digest),
+    ]
     rid = facts.robot.rid
     if lease.regions:
-        found += place_findings(state, lease.regions, rid=rid, now=now, max_age_ms=lease.max_age_ms)
+        found += place_findings(
+            state,
+            lease.regions,
+            reason=Reason.OUTSIDE_REGIONS,
+            rid=rid,
+            now=now,
+            max_age_ms=lease.max_age_ms,
+        )
     guards = (guard_finding(guard, state, rid, now) for guard in lease.guards)
     found += [finding for finding in guards if finding is not None]
     for bound in lease.bounds:
@@ -123,19 +133,6 @@ def _time(lease: Lease, now: Now) -> Findings:
         late = f"{now.mono_ms - lease.until_mono_ms} ms later"
         return (Finding("lease", Reason.LEASE_ENDED, "in its time", late),)
     return ()
-
-
-def _registry(lease: Lease, standing: Standing | None) -> Findings:
-    if standing is None or standing.mid != lease.mid:
-        reason, got = Reason.MISSION_UNKNOWN, "no entry"
-    elif standing.digest != lease.digest:
-        reason, got = Reason.SUPERSEDED, f"version {standing.version}"
-    elif standing.status in REFUSAL:
-        reason, got = REFUSAL[standing.status], str(standing.status)
-    else:
-        return ()
-    expected = f"`{lease.mid}` version {lease.version} active"
-    return (Finding("mission", reason, expected, got),)
 
 
 def _bound(

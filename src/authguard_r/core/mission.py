@@ -15,25 +15,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from authguard_r.core import identifiers as ids
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.identifiers import (
-    ActionType,
-    Count,
-    Digest,
-    GrantId,
-    Identifier,
-    Integer,
-    MissionId,
-    ObjectId,
-    ParameterId,
-    Positive,
-    PrincipalId,
-    RegionId,
-    RobotId,
-    Timestamp,
-    ToolId,
-    VariableId,
-)
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
@@ -75,18 +58,18 @@ class Row(_Signed, frozen=True, kw_only=True):
         regions: everything that the robot may touch on the way, source and destination included.
     """
 
-    object: ObjectId | None = None
-    source: RegionId | None = None
-    destination: RegionId | None = None
-    regions: tuple[RegionId, ...] = ()
+    object: ids.ObjectId | None = None
+    source: ids.RegionId | None = None
+    destination: ids.RegionId | None = None
+    regions: tuple[ids.RegionId, ...] = ()
 
 
 class Limit(_Signed, frozen=True, kw_only=True):
     """Closed bounds of one parameter, in the unit that its name ends with."""
 
-    parameter: ParameterId
-    low: Integer
-    high: Integer
+    parameter: ids.ParameterId
+    low: ids.Integer
+    high: ids.Integer
 
 
 class Guard(_Signed, frozen=True, kw_only=True):
@@ -99,10 +82,10 @@ class Guard(_Signed, frozen=True, kw_only=True):
         max_age_ms: how old the reading may be, in milliseconds.
     """
 
-    variable: VariableId
+    variable: ids.VariableId
     comparison: Comparison
-    value: Integer | bool | Identifier
-    max_age_ms: Count
+    value: ids.Integer | bool | ids.Identifier
+    max_age_ms: ids.Count
 
 
 class DataRights(_Signed, frozen=True, kw_only=True):
@@ -135,20 +118,20 @@ class Grant(_Signed, frozen=True, kw_only=True):
         completes: the mission is complete when every such grant has all its successes.
     """
 
-    id: GrantId
-    type: ActionType
-    tool: ToolId
+    id: ids.GrantId
+    type: ids.ActionType
+    tool: ids.ToolId
     alternatives: Annotated[tuple[Row, ...], Meta(min_length=1, max_length=MAX_ROWS)]
     chooser: Chooser
-    repeat: Positive
-    starts: Positive
-    max_ms: Positive
+    repeat: ids.Positive
+    starts: ids.Positive
+    max_ms: ids.Positive
     irreversible: bool
     limits: tuple[Limit, ...] = ()
     guards: tuple[Guard, ...] = ()
     data: DataRights = DataRights()
-    after: tuple[GrantId, ...] = ()
-    until: tuple[GrantId, ...] = ()
+    after: tuple[ids.GrantId, ...] = ()
+    until: tuple[ids.GrantId, ...] = ()
     done_when: tuple[Guard, ...] = ()
     completes: bool = False
 
@@ -156,8 +139,8 @@ class Grant(_Signed, frozen=True, kw_only=True):
 class Rate(_Signed, frozen=True, kw_only=True):
     """At most `count` releases in any `per_ms` milliseconds of the gate's monotonic clock."""
 
-    count: Positive
-    per_ms: Positive
+    count: ids.Positive
+    per_ms: ids.Positive
 
 
 class Budgets(_Signed, frozen=True, kw_only=True):
@@ -173,28 +156,28 @@ class Budgets(_Signed, frozen=True, kw_only=True):
         planner_stops: stops that the planner may ask for before an alert.
     """
 
-    actions: Count
+    actions: ids.Count
     rate: Rate
-    motion_ms: Count
-    wait_ms: Count
-    recorded_bytes: Count
-    prompts: Count
-    planner_stops: Count
+    motion_ms: ids.Count
+    wait_ms: ids.Count
+    recorded_bytes: ids.Count
+    prompts: ids.Count
+    planner_stops: ids.Count
 
 
 class ParameterRisk(_Signed, frozen=True, kw_only=True):
     """Adds `weight` times the parameter's share of `full_scale`, rounded up."""
 
-    parameter: ParameterId
-    full_scale: Positive
-    weight: Count
+    parameter: ids.ParameterId
+    full_scale: ids.Positive
+    weight: ids.Count
 
 
 class StateRisk(_Signed, frozen=True, kw_only=True):
     """Adds `weight` while the condition holds, or while nobody can attest that it does not."""
 
     guard: Guard
-    weight: Count
+    weight: ids.Count
 
 
 class RiskPolicy(_Signed, frozen=True, kw_only=True):
@@ -215,16 +198,16 @@ class RiskPolicy(_Signed, frozen=True, kw_only=True):
         valid_ms: how long a request and its approvals live, in milliseconds.
     """
 
-    otherwise: Count
-    tau_1: Count
-    tau_2: Count
+    otherwise: ids.Count
+    tau_1: ids.Count
+    tau_2: ids.Count
     t: Annotated[int, Meta(ge=2, le=64)]
-    roles: Annotated[tuple[Identifier, ...], Meta(min_length=1)]
-    privacy: Count
-    valid_ms: Positive
-    types: dict[ActionType, Count] = {}
-    region_tags: dict[Identifier, Count] = {}
-    object_classes: dict[Identifier, Count] = {}
+    roles: Annotated[tuple[ids.Identifier, ...], Meta(min_length=1)]
+    privacy: ids.Count
+    valid_ms: ids.Positive
+    types: dict[ids.ActionType, ids.Count] = {}
+    region_tags: dict[ids.Identifier, ids.Count] = {}
+    object_classes: dict[ids.Identifier, ids.Count] = {}
     parameters: tuple[ParameterRisk, ...] = ()
     states: tuple[StateRisk, ...] = ()
 
@@ -232,8 +215,8 @@ class RiskPolicy(_Signed, frozen=True, kw_only=True):
 class Closing(_Signed, frozen=True, kw_only=True):
     """Grants that stay open for a while after completion, such as going home."""
 
-    grants: Annotated[tuple[GrantId, ...], Meta(min_length=1)]
-    for_ms: Positive
+    grants: Annotated[tuple[ids.GrantId, ...], Meta(min_length=1)]
+    for_ms: ids.Positive
 
 
 class Mission(_Signed, frozen=True, kw_only=True):
@@ -265,26 +248,26 @@ class Mission(_Signed, frozen=True, kw_only=True):
     """
 
     schema: Literal["authguard-r/mission/1"]
-    mid: MissionId
-    version: Positive
-    rid: RobotId
-    profile: Digest
-    site: Digest
-    issuer: PrincipalId
+    mid: ids.MissionId
+    version: ids.Positive
+    rid: ids.RobotId
+    profile: ids.Digest
+    site: ids.Digest
+    issuer: ids.PrincipalId
     task: Annotated[str, Meta(min_length=1, max_length=2000)]
     actions: Annotated[tuple[Grant, ...], Meta(min_length=1, max_length=MAX_GRANTS)]
-    objects: tuple[ObjectId, ...]
-    regions: tuple[RegionId, ...]
+    objects: tuple[ids.ObjectId, ...]
+    regions: tuple[ids.RegionId, ...]
     limits: tuple[Limit, ...]
     guards: tuple[Guard, ...]
-    not_before: Timestamp
-    expiry: Timestamp
-    place_max_age_ms: Count
+    not_before: ids.Timestamp
+    expiry: ids.Timestamp
+    place_max_age_ms: ids.Count
     nonce: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{22}\Z")]
     risk_policy: RiskPolicy
     budgets: Budgets
     on_refusal: OnRefusal
-    supersedes: Digest | None = None
+    supersedes: ids.Digest | None = None
     closing: Closing | None = None
 
 
@@ -345,11 +328,11 @@ def _limits(place: str, limits: tuple[Limit, ...]) -> Iterator[tuple[str, str]]:
             yield f"{place}[{number}].high", "expected at least `low`"
 
 
-def _grant_faults(place: str, grant: Grant, known: set[GrantId]) -> Iterator[tuple[str, str]]:
+def _grant_faults(place: str, grant: Grant, known: set[ids.GrantId]) -> Iterator[tuple[str, str]]:
     if grant.starts < grant.repeat:
         yield f"{place}.starts", "expected at least `repeat`"
-    for field, ids in (("after", grant.after), ("until", grant.until)):
-        if not known.issuperset(ids):
+    for field, named in (("after", grant.after), ("until", grant.until)):
+        if not known.issuperset(named):
             yield f"{place}.{field}", "expected ids of grants of this mission"
     if grant.id in grant.after or grant.id in grant.until:
         yield f"{place}.id", "expected a grant that does not wait for itself"

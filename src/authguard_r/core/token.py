@@ -72,14 +72,6 @@ class Principal(Struct, frozen=True, kw_only=True):
     usable_until_ms: int
 
 
-class Verified(Struct, frozen=True):
-    """An authentic object with its digest and its signer; `value` is still only what was said."""
-
-    value: object
-    digest: Digest
-    signer: Principal
-
-
 class IndexedGrant(Struct, frozen=True):
     """A grant with its limits keyed by parameter."""
 

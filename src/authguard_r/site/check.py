@@ -8,8 +8,9 @@ from collections.abc import Iterable, Iterator
 from msgspec import Struct
 
 from authguard_r.core.geometry import may_lie_in, polygon
-from authguard_r.core.identifiers import skeleton
 from authguard_r.site.model import Site
+
+_SKELETON = str.maketrans("", "", "_.:-")
 
 
 class Fault(Struct, frozen=True):
@@ -114,3 +115,12 @@ def _robots(site: Site) -> Iterator[tuple[str, str]]:
 def _doubled_area(points: tuple[tuple[int, int], ...]) -> int:
     pairs = zip(points, points[1:] + points[:1], strict=True)
     return sum(ax * by - bx * ay for (ax, ay), (bx, by) in pairs)
+
+
+def skeleton(identifier: str) -> str:
+    """Return the identifier without `_.:-`.
+
+    Two ids with equal skeletons (`room-1`, `room_1`) look alike to a person who reviews a
+    mission, so a site model may not hold both (L2).
+    """
+    return identifier.translate(_SKELETON)

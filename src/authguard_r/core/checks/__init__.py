@@ -9,65 +9,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from authguard_r.core.checks import grant, mission, place, provenance, row
 from authguard_r.core.checks.case import Case
-from authguard_r.core.checks.grant import (
-    check_budgets,
-    check_data_rights,
-    check_grant_guards,
-    check_order,
-    check_parameters,
-    check_tool,
-    check_type,
-    check_uses,
-)
-from authguard_r.core.checks.mission import (
-    check_capability,
-    check_ceilings,
-    check_certificate,
-    check_meta,
-    check_mission_guards,
-    check_registry,
-    check_robot,
-    check_time,
-)
-from authguard_r.core.checks.place import check_place
-from authguard_r.core.checks.provenance import check_provenance
-from authguard_r.core.checks.row import check_destination, check_object, check_route, check_source
 from authguard_r.core.finding import Findings
 from authguard_r.core.mission import Row
 from authguard_r.core.token import IndexedGrant
 
 #: Steps 3 to 6: of the mission as a whole.
 MISSION_CHECKS: tuple[Callable[[Case], Findings], ...] = (
-    check_time,
-    check_registry,
-    check_robot,
-    check_meta,
-    check_capability,
-    check_ceilings,
-    check_mission_guards,
+    mission.check_time,
+    mission.check_registry,
+    mission.check_robot,
+    mission.check_meta,
+    mission.check_capability,
+    mission.check_ceilings,
+    mission.check_mission_guards,
 )
 
 #: Step 6: of one grant.
 GRANT_CHECKS: tuple[Callable[[Case, IndexedGrant], Findings], ...] = (
-    check_type,
-    check_tool,
-    check_parameters,
-    check_data_rights,
-    check_order,
-    check_uses,
-    check_budgets,
-    check_grant_guards,
-    check_provenance,
+    grant.check_type,
+    grant.check_tool,
+    grant.check_parameters,
+    grant.check_data_rights,
+    grant.check_order,
+    grant.check_uses,
+    grant.check_budgets,
+    grant.check_grant_guards,
+    provenance.check_provenance,
 )
 
 #: Step 6: of one row.
 ROW_CHECKS: tuple[Callable[[Case, Row], Findings], ...] = (
-    check_object,
-    check_source,
-    check_place,
-    check_destination,
-    check_route,
+    row.check_object,
+    row.check_source,
+    place.check_place,
+    row.check_destination,
+    row.check_route,
 )
 
-__all__ = ["GRANT_CHECKS", "MISSION_CHECKS", "ROW_CHECKS", "Case", "check_certificate"]
+__all__ = ["GRANT_CHECKS", "MISSION_CHECKS", "ROW_CHECKS", "Case"]

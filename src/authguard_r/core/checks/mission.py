@@ -11,10 +11,12 @@ from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings
+from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.lifecycle import REFUSAL
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Standing
 
 
 def check_certificate(case: Case) -> Findings:
@@ -46,19 +48,27 @@ def check_time(case: Case) -> Findings:
 
 def check_registry(case: Case) -> Findings:
     """(4) The registry knows this very version, and it is active (or closing)."""
-    standing, mission = case.standing, case.verified.mission
-    if standing is None or standing.mid != mission.mid:
+    mission = case.verified.mission
+    return registry_findings(
+        case.standing, mid=mission.mid, version=mission.version, digest=case.verified.digest
+    )
+
+
+def registry_findings(
+    standing: Standing | None, *, mid: MissionId, version: int, digest: Digest
+) -> Findings:
+    """Return why the registry's entry authorizes nothing; the lease asks this too."""
+    if standing is None or standing.mid != mid:
         reason, got = Reason.MISSION_UNKNOWN, "no entry"
-    elif standing.digest != case.verified.digest:
-        newer = standing.version > mission.version
+    elif standing.digest != digest:
+        newer = standing.version > version
         reason = Reason.SUPERSEDED if newer else Reason.MISSION_UNKNOWN
         got = f"version {standing.version}"
     elif standing.status in REFUSAL:
         reason, got = REFUSAL[standing.status], str(standing.status)
     else:
         return ()
-    expected = f"`{mission.mid}` version {mission.version} active"
-    return (Finding("mission", reason, expected, got),)
+    return (Finding("mission", reason, f"`{mid}` version {version} active", got),)
 
 
 def check_robot(case: Case) -> Findings:

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of design section 9, each from the medians of one run, beside its target."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from durable import LENGTHS
+from measure import Timing
+
+
+class Figure(NamedTuple):
+    """One number that is compared.
+
+    Args:
+        id: its key.
+        what: for people.
+        value: a ratio, or a time in `unit`.
+        unit: `x`, `ms`, `us` or empty for a truth value.
+        target: the most that meets it; None for a number that is only shown.
+        moonshot: what would be better still.
+        of: the timings that it comes from.
+    """
+
+    id: str
+    what: str
+    value: float | bool
+    unit: str
+    of: tuple[str, ...]
+    target: float | bool | None = None
+    moonshot: float | None = None
+
+    @property
+    def meets(self) -> bool | None:
+        """True when it meets its target, None when there is none."""
+        if self.target is None:
+            return None
+        if isinstance(self.target, bool):
+            return self.value is self.target
+        return self.value <= self.target
+
+    def plain(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        value = self.value if isinstance(self.value, bool) else round(self.value, 4)
+        return {**self._asdict(), "value": value, "meets": self.meets}
+
+
+def figures(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
+    """Return every figure, those with a target first."""
+    return [*_targets(timings, revoked), *_shown(timings, revoked)]
+
+
+def _targets(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
+    return [
+        _ratio(
+            timings,
+            "accept_over_cedar",
+            "one action normalized, decided, hashed / cedarpy, pre-parsed, this rule",
+            ("gate.accept", "cedar.rule.accept"),
+            target=0.5,
+            moonshot=0.35,
+        ),
+        _ratio(
+            timings,
+            "refuse_over_accept",
+            "a refusal / an acceptance",
+            ("gate.refuse", "gate.accept"),
+            target=1.5,
+        ),
+        _ratio(
+            timings,
+            "cold_token_over_signatures",
+            "a cold token / the three Ed25519 checks in it",
+            ("token.cold", "token.signatures"),
+            target=1.5,
+        ),
+        _net(
+            timings,
+            "durable_accept_net",
+            "an accepted action on disk and dispatched - a bare durable insert",
+            ("durable.accept", "insert.bare"),
+            target=0.15,
+        ),
+        Figure(
+            "revocation_evicts",
+            f"the kept mission is gone and the next proposal refused, {revoked['count']} of "
+            f"{revoked['count']} times",
+            bool(revoked["kept_before"] and revoked["refused_next"] and revoked["evicted"]),
+            "",
+            (),
+            target=True,
+        ),
+    ]
+
+
+def _shown(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
+    beside = (
+        ("accept_over_cedar_dict", "the same / cedarpy with a `dict` context", "cedar.rule_dict"),
+        ("accept_over_cedar_mission", "the same / cedarpy, every navigation row", "cedar.mission"),
+        ("accept_over_cedar_five", "the same / cedarpy, five values only", "cedar.five"),
+        ("accept_over_biscuit", "the same / a verified Biscuit, this rule", "biscuit"),
+    )
+    shown = [
+        _ratio(timings, key, what, ("gate.accept", f"{name}.accept")) for key, what, name in beside
+    ]
+    shown += [
+        _ratio(
+            timings,
+            "refuse_over_cedar_refuse",
+            "a refusal / cedarpy refusing, this rule",
+            ("gate.refuse", "cedar.rule.refuse"),
+        ),
+        _ratio(
+            timings,
+            "accept_over_ed25519",
+            "an acceptance / one bare Ed25519 verification",
+            ("gate.accept", "ed25519.verify"),
+        ),
+        _ratio(
+            timings,
+            "cold_token_over_biscuit",
+            "a cold token / a cold Biscuit",
+            ("token.cold", "biscuit.verify"),
+        ),
+        _net(
+            timings,
+            "durable_refuse_net",
+            "a refusal on disk - a bare durable insert",
+            ("durable.refuse", "insert.bare"),
+        ),
+        _net(
+            timings,
+            "durable_accept_new_state_net",
+            "as `durable_accept_net`, with a new signed snapshot verified on the way",
+            ("durable.accept_new_state", "insert.bare"),
+        ),
+        _net(
+            timings,
+            "ledger_net",
+            "T_L: standing and record committed - a bare durable insert",
+            ("T_L.ledger", "insert.bare"),
+        ),
+    ]
+    shown += [
+        _net(
+            timings,
+            f"plan_{length}_net",
+            f"one action of a cold plan of {length} - a bare durable insert",
+            (f"plan.{length}", f"insert.bare.{length}"),
+        )
+        for length in LENGTHS
+    ]
+    return [*shown, *_sums(timings), *_revoked(revoked)]
+
+
+def _sums(timings: dict[str, Timing]) -> list[Figure]:
+    """`eq:latency`: cold verifies the token, steady has it; approval only where one is needed."""
+    steady = ("T_N.normalize", "T_N.complete", "T_P.decide", "T_P.digest", "T_S.assess")
+    rows = (
+        ("total_steady", "T_total, steady, no approval", (*steady, "token.kept", "T_L.ledger")),
+        ("total_cold", "T_total, cold, no approval", (*steady, "token.cold", "T_L.ledger")),
+        (
+            "total_cold_approved",
+            "T_total, cold, one approval",
+            (*steady, "token.cold", "T_A.approval", "T_L.ledger"),
+        ),
+    )
+    return [
+        Figure(key, what, sum(timings[name].p50 for name in names) / 1e6, "ms", names)
+        for key, what, names in rows
+    ]
+
+
+def _revoked(revoked: dict[str, Any]) -> list[Figure]:
+    return [
+        Figure(
+            "revocation_command",
+            "a signed revocation, verified and on disk",
+            revoked["command_p50_us"] / 1e3,
+            "ms",
+            (),
+        ),
+        Figure(
+            "revocation_next_refusal",
+            "the next proposal, refused and on disk",
+            revoked["next_refusal_p50_us"] / 1e3,
+            "ms",
+            (),
+        ),
+    ]
+
+
+def _ratio(
+    timings: dict[str, Timing],
+    key: str,
+    what: str,
+    of: tuple[str, str],
+    *,
+    target: float | None = None,
+    moonshot: float | None = None,
+) -> Figure:
+    value = timings[of[0]].p50 / timings[of[1]].p50
+    return Figure(key, what, value, "x", of, target, moonshot)
+
+
+def _net(
+    timings: dict[str, Timing],
+    key: str,
+    what: str,
+    of: tuple[str, str],
+    *,
+    target: float | None = None,
+) -> Figure:
+    value = (timings[of[0]].p50 - timings[of[1]].p50) / 1e6
+    return Figure(key, what, value, "ms", of, target)

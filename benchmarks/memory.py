@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What needs no disk: one action normalized, decided and hashed; tokens; the parts of the sum.
+
+Beside Cedar, Biscuit and bare signatures in the same blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from authguard_r.approvals import answer, open_approval
+from authguard_r.core.action import Action
+from authguard_r.core.approval import Verdict as Answer
+from authguard_r.core.decision import Verdict
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.identifiers import GrantId
+from authguard_r.core.standing import ApprovalRequest
+from authguard_r.core.token import sign_object, verify_mission
+from authguard_r.intake import ISSUER_ROLES
+from authguard_r.keys.trust import read_trust
+from authguard_r.normalize import normalize
+from authguard_r.safety import EnvelopeGate, default_config
+from authguard_r.store.memory import MemoryStore
+from measure import Effort, Subject, Timing, interleave, timed
+from scene import GRANT, HIJACKED, Scene, bench, long_mission, reply, scene, worlds
+from yardsticks import BiscuitGate, Cedar, Signatures, cedar_five, values
+
+
+def decisions(effort: Effort) -> dict[str, Timing]:
+    """Time one decision of the gate, accepted and refused, beside the yardsticks."""
+    here = scene()
+    good, bad = reply(), reply(HIJACKED)
+    wanted, hijacked = here.judge(good)[0], here.judge(bad)[0]
+    askers = _askers(here, wanted)
+    _require_agreement(here, wanted, hijacked, askers)
+    subjects = [
+        Subject("gate.accept", timed(lambda: here.judge(good))),
+        Subject("gate.refuse", timed(lambda: here.judge(bad))),
+    ]
+    for name, ask in askers.items():
+        subjects.append(Subject(f"{name}.accept", _asking(ask, wanted)))
+        if name in {"cedar.rule", "biscuit"}:
+            subjects.append(Subject(f"{name}.refuse", _asking(ask, hijacked)))
+    return interleave(subjects, effort)
+
+
+def tokens(effort: Effort) -> dict[str, Timing]:
+    """Time a cold token beside the signature checks in it, and the kept mission."""
+    trust, token = read_trust(worlds.trust_folder()), worlds.token()
+    bare = Signatures(token, trust)
+    biscuit = BiscuitGate(scene())
+    held = bench(MemoryStore(), trust=trust)
+    kept = held.gate.management.activate(long_mission("kept")).digest
+    intake = held.gate.enforcer.intake
+
+    def keep() -> int:
+        """Ask inside a turn, as the enforcer does; only the asking counts."""
+        return held.gate.ledger.run(lambda act: timed(lambda: intake.mission(act, kept))())
+
+    def cold() -> None:
+        verify_mission(token, verifier=trust, now=worlds.NOW, roles=ISSUER_ROLES)
+
+    subjects = [
+        Subject("token.cold", timed(cold)),
+        Subject("token.signatures", timed(bare.all)),
+        Subject("ed25519.verify", timed(bare.one)),
+        Subject("biscuit.verify", timed(biscuit.verify)),
+        Subject("token.kept", keep),
+    ]
+    return interleave(subjects, effort)
+
+
+def parts(effort: Effort) -> dict[str, Timing]:
+    """Time the terms of `eq:latency` apart; the ledger's are in `durable`."""
+    here = scene()
+    good = reply()
+    action, _, _ = here.judge(good)
+    refused, _, _ = here.judge(reply(HIJACKED))
+    evidence = normalize(good, binder=here.binder).evidence
+    bound = normalize(good, binder=here.binder).steps[0].action
+    safety = EnvelopeGate(default_config(worlds.site(), worlds.RID))
+    trust = read_trust(worlds.trust_folder())
+    approval = _approval(here)
+    subjects = [
+        Subject("T_N.normalize", timed(lambda: normalize(good, binder=here.binder))),
+        Subject("T_N.complete", timed(lambda: here.completed(bound, evidence))),
+        Subject("T_P.decide", timed(lambda: here.decide(action))),
+        Subject("T_P.decide_refused", timed(lambda: here.decide(refused))),
+        Subject("T_P.digest", timed(lambda: digest_of(Tag.ACTION, action))),
+        Subject(
+            "T_A.approval", timed(lambda: open_approval(approval, verifier=trust, now=here.now))
+        ),
+        Subject(
+            "T_S.assess", timed(lambda: safety.assess(action, here.state, here.facts, here.now))
+        ),
+    ]
+    return interleave(subjects, effort)
+
+
+def counted() -> dict[str, int]:
+    """Return how many conditions each yardstick checks."""
+    here = scene()
+    return {
+        "cedar.rule": Cedar(here).conditions,
+        "cedar.mission": Cedar(here, whole=True).conditions,
+        "biscuit": BiscuitGate(here).conditions,
+    }
+
+
+def _askers(here: Scene, action: Action) -> dict[str, Callable[[Action], bool]]:
+    context = values(here, action)
+    return {
+        "cedar.rule": Cedar(here).asker(context),
+        "cedar.rule_dict": Cedar(here, text=False).asker(context),
+        "cedar.mission": Cedar(here, whole=True).asker(context),
+        "cedar.five": cedar_five(here),
+        "biscuit": BiscuitGate(here).asker(context),
+    }
+
+
+def _asking(ask: Callable[[Action], bool], action: Action) -> Callable[[], int]:
+    return timed(lambda: ask(action))
+
+
+def _require_agreement(
+    here: Scene, wanted: Action, hijacked: Action, askers: dict[str, Callable[[Action], bool]]
+) -> None:
+    """Hold every yardstick to the gate's two answers before it is timed."""
+    accepted = here.decide(wanted).verdict is Verdict.ACCEPT
+    refused = here.decide(hijacked).verdict is Verdict.REJECT
+    if not accepted or not refused:
+        raise RuntimeError("the scene is broken: one action passes, the hijacked one does not")
+    for name, ask in askers.items():
+        if not ask(wanted) or ask(hijacked):
+            raise RuntimeError(f"`{name}` does not answer as the gate does")
+
+
+def _approval(here: Scene) -> bytes:
+    request = ApprovalRequest(
+        counter=1,
+        scope=here.verified.digest,
+        situation=here.verified.digest,
+        required=2,
+        expires_ms=here.now.utc_ms + 60_000,
+    )
+    said = answer(here.verified, GrantId(GRANT), request, rid=worlds.RID, verdict=Answer.APPROVE)
+    signer = worlds.folder_signer(worlds.trust_folder(), "supervisor-1")
+    return sign_object(said, Tag.APPROVAL, signer)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`python benchmarks/run.py`: every figure of design section 9, its yardstick in the same run.
+
+One JSON object with machine and commit, one Markdown table. Nothing here is a test: a slow
+machine fails no build, and a figure that falls short is printed like any other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import durable
+import machine
+import memory
+import table
+from figures import figures
+from measure import Effort, Timing
+
+FULL = {
+    "decisions": Effort(blocks=11, calls=1_500, stretch=25, warm_up=300),
+    "tokens": Effort(blocks=11, calls=400, stretch=5, warm_up=50),
+    "parts": Effort(blocks=11, calls=1_000, stretch=25, warm_up=200),
+    "turns": Effort(blocks=11, calls=500, warm_up=50),
+    "plans": Effort(blocks=7, calls=300, warm_up=2),
+}
+QUICK = {
+    "decisions": Effort(blocks=5, calls=500, stretch=25, warm_up=100),
+    "tokens": Effort(blocks=5, calls=150, stretch=5, warm_up=20),
+    "parts": Effort(blocks=5, calls=400, stretch=25, warm_up=100),
+    "turns": Effort(blocks=5, calls=150, warm_up=20),
+    "plans": Effort(blocks=5, calls=100, warm_up=1),
+}
+REVOCATIONS = {"full": 100, "quick": 20}
+
+
+def measure(effort: str, folder: Path) -> dict[str, Any]:
+    """Return the results of one run.
+
+    Args:
+        effort: `full` or `quick`.
+        folder: an empty folder on the disk that is measured.
+    """
+    efforts = FULL if effort == "full" else QUICK
+    timings: dict[str, Timing] = {}
+    _say("decisions beside cedarpy and Biscuit")
+    timings |= memory.decisions(efforts["decisions"])
+    _say("tokens beside bare signatures")
+    timings |= memory.tokens(efforts["tokens"])
+    _say("the parts of a decision")
+    timings |= memory.parts(efforts["parts"])
+    _say("durable decisions beside a bare insert")
+    timings |= durable.turns(folder, efforts["turns"])
+    _say("plans of 1, 10 and 100")
+    timings |= durable.plans(folder, efforts["plans"])
+    _say("revocations")
+    revoked = durable.revocations(folder, REVOCATIONS[effort])
+    _say("sizes")
+    return {
+        "schema": "authguard-r/benchmarks/1",
+        "effort": effort,
+        **machine.describe(folder),
+        "conditions": memory.counted(),
+        "figures": [figure.plain() for figure in figures(timings, revoked)],
+        "timings": {name: _plain(timing) for name, timing in timings.items()},
+        "revocations": revoked,
+        "sizes": durable.sizes(folder),
+    }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, print the table, write what was asked for."""
+    options = _options().parse_args(arguments)
+    with tempfile.TemporaryDirectory(prefix=".benchmarks-", dir=options.disk) as folder:
+        results = measure("quick" if options.quick else "full", Path(folder))
+    text = table.markdown(results)
+    print(text)
+    if options.json is not None:
+        options.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
+    if options.markdown is not None:
+        table.write(options.markdown, text)
+    return 0
+
+
+def _options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description="Measure the gate beside its yardsticks.")
+    parser.add_argument("--quick", action="store_true", help="under a minute, with more noise")
+    parser.add_argument("--json", type=Path, help="write the results here")
+    parser.add_argument("--markdown", type=Path, help="write the tables here")
+    parser.add_argument(
+        "--disk",
+        type=Path,
+        default=Path(__file__).resolve().parent,
+        help="a folder on the disk to measure; default: this one's",
+    )
+    return parser
+
+
+def _plain(timing: Timing) -> dict[str, Any]:
+    low, high = timing.spread
+    return {
+        "p50_us": round(timing.p50 / 1e3, 3),
+        "p95_us": round(timing.p95 / 1e3, 3),
+        "p99_us": round(timing.p99 / 1e3, 3),
+        "samples": timing.samples,
+        "blocks": timing.blocks,
+        "block_medians_us": [round(low / 1e3, 3), round(high / 1e3, 3)],
+    }
+
+
+def _say(what: str) -> None:
+    print(f"measuring: {what}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The results as Markdown: what is compared, every timing, the sizes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+BEGIN, END = "<!-- begin measured -->", "<!-- end measured -->"
+
+
+def markdown(results: dict[str, Any]) -> str:
+    """Return the tables of one run."""
+    parts = [
+        _about(results),
+        _targets(results),
+        _shown(results),
+        _timings(results),
+        _sizes(results),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def write(path: Path, text: str) -> None:
+    """Write the tables to a file; in a page with marks, only between them."""
+    page = path.read_text("utf-8") if path.is_file() else ""
+    head, begin, rest = page.partition(BEGIN)
+    _, end, tail = rest.partition(END)
+    if begin and end:
+        text = f"{head}{BEGIN}\n{text}{END}{tail}"
+    path.write_text(text, "utf-8")
+
+
+def _about(results: dict[str, Any]) -> str:
+    machine, libraries = results["machine"], results["libraries"]
+    named = ", ".join(f"{name} {number}" for name, number in libraries.items())
+    changed = " with changes in `src`" if results["changed_since_commit"] else ""
+    return (
+        f"Measured {results['date']} at commit `{results['commit'][:12]}`{changed}, "
+        f"{results['effort']} run: {machine['cores']} cores {machine['cpu']} "
+        f"({machine['architecture']}), {machine['system']}, {machine['file_system']}, "
+        f"{results['python']}, SQLite {results['sqlite']}, {named}."
+    )
+
+
+def _targets(results: dict[str, Any]) -> str:
+    lines = ["| compared | measured | target | meets |", "|---|---:|---:|---|"]
+    for figure in results["figures"]:
+        if figure["target"] is None:
+            continue
+        target = _value(figure["target"], figure["unit"])
+        if not isinstance(figure["target"], bool):
+            target = f"<= {target}"
+        if figure["moonshot"] is not None:
+            target += f" (moonshot {_value(figure['moonshot'], figure['unit'])})"
+        measured = _value(figure["value"], figure["unit"])
+        meets = "yes" if figure["meets"] else "**no**"
+        lines.append(f"| {figure['what']} | {measured} | {target} | {meets} |")
+    return "\n".join(lines)
+
+
+def _shown(results: dict[str, Any]) -> str:
+    lines = ["| also measured | |", "|---|---:|"]
+    lines += [
+        f"| {figure['what']} | {_value(figure['value'], figure['unit'])} |"
+        for figure in results["figures"]
+        if figure["target"] is None
+    ]
+    return "\n".join(lines)
+
+
+def _timings(results: dict[str, Any]) -> str:
+    lines = ["| timing (microseconds) | p50 | p95 | p99 | samples |", "|---|---:|---:|---:|---:|"]
+    lines += [
+        f"| `{name}` | {row['p50_us']:.1f} | {row['p95_us']:.1f} | {row['p99_us']:.1f} "
+        f"| {row['samples']} |"
+        for name, row in results["timings"].items()
+    ]
+    return "\n".join(lines)
+
+
+def _sizes(results: dict[str, Any]) -> str:
+    lines = ["| size | bytes |", "|---|---:|"]
+    lines += [
+        f"| {name.removesuffix('_bytes').replace('_bytes', '').replace('_', ' ')} | {size} |"
+        for name, size in results["sizes"].items()
+    ]
+    return "\n".join(lines)
+
+
+def _value(value: float | bool, unit: str) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.3f} {unit}" if unit == "ms" else f"{value:.2f} {unit}"

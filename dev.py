@@ -1,0 +1,125 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Everything a newcomer runs, with Python 3.11 and pip alone.
+
+    python3 dev.py demo     set up, then the hospital story
+    python3 dev.py test     set up, then the tests
+    python3 dev.py lint     set up, then format, lint, types, import contracts, budget of the core
+    python3 dev.py bench    set up, then the benchmarks
+    python3 dev.py setup    only the environment, in .venv
+    python3 dev.py lock     work the lock file out anew from pyproject.toml
+
+What follows the name is passed on: `python3 dev.py test -k replay`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+ENV = ROOT / ".venv"
+BIN = ENV / ("Scripts" if os.name == "nt" else "bin")
+LOCK = ROOT / "requirements.lock"
+UV = "uv==0.13.8"
+TESTS = ["-n", "2", "--dist", "loadgroup", "--cov", "--cov-report=term"]
+
+
+def main(arguments: list[str]) -> int:
+    """Run one task and return its exit code."""
+    if not arguments or arguments[0] not in TASKS:
+        print(__doc__)
+        return 2
+    if sys.version_info < (3, 11):
+        print("Python 3.11 or newer is needed; this is", sys.version.split()[0])
+        return 2
+    setup()
+    return TASKS[arguments[0]](arguments[1:])
+
+
+def setup() -> None:
+    """Make .venv hold exactly what the lock file says, unless it does already."""
+    stamp = ENV / "locked"
+    wanted = hashlib.sha256(LOCK.read_bytes() + (ROOT / "pyproject.toml").read_bytes()).hexdigest()
+    if stamp.is_file() and stamp.read_text() == wanted:
+        return
+    print("setting up .venv ...", file=sys.stderr)
+    if not (BIN / "python").exists() and not (BIN / "python.exe").exists():
+        venv.create(ENV, with_pip=True)
+    quiet = ["--quiet", "--disable-pip-version-check"]
+    check([str(BIN / "python"), "-m", "pip", "install", *quiet, UV])
+    uv = [str(BIN / "uv"), "pip"]
+    python = ["--quiet", "--python", str(BIN / "python")]
+    check([*uv, "sync", *python, "--require-hashes", str(LOCK)])
+    check([*uv, "install", *python, "--no-deps", "--editable", str(ROOT)])
+    stamp.write_text(wanted)
+
+
+def demo(arguments: list[str]) -> int:
+    """Play the hospital story."""
+    return run(["authguard", "demo", *arguments])
+
+
+def test(arguments: list[str]) -> int:
+    """Run the tests; the whole suite with coverage, or what was asked for."""
+    if arguments:
+        return run(["pytest", *arguments])
+    return run(["pytest", *TESTS])
+
+
+def lint(arguments: list[str]) -> int:
+    """Run every check that needs no test, and say which failed."""
+    checks = [
+        ["ruff", "format", "--check", "."],
+        ["ruff", "check", "."],
+        ["mypy"],
+        ["pyright"],
+        ["lint-imports", "--no-cache"],
+        ["python", "tests/budget.py"],
+        *([] if not arguments else [arguments]),
+    ]
+    failed = [" ".join(command) for command in checks if run(command) != 0]
+    print("failed: " + ", ".join(failed) if failed else "lint: all checks passed")
+    return 1 if failed else 0
+
+
+def bench(arguments: list[str]) -> int:
+    """Measure against the yardsticks of the same run."""
+    return run(["python", "benchmarks/run.py", *arguments])
+
+
+def lock(arguments: list[str]) -> int:
+    """Work out the lock file: every version, every hash, no host."""
+    command = ["uv", "pip", "compile", "pyproject.toml", "--group", "dev", "--group", "bench"]
+    how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
+    return run([*command, *how, "-o", LOCK.name, *arguments])
+
+
+def run(command: list[str]) -> int:
+    """Run a program of .venv in the checkout and return its exit code."""
+    path = f"{BIN}{os.pathsep}{os.environ.get('PATH', '')}"
+    program = str(BIN / command[0])
+    return subprocess.call([program, *command[1:]], cwd=ROOT, env={**os.environ, "PATH": path})
+
+
+def check(command: list[str]) -> None:
+    """Run a command and stop here when it fails."""
+    if subprocess.call(command, cwd=ROOT) != 0:
+        sys.exit(f"failed: {' '.join(command)}")
+
+
+TASKS = {
+    "demo": demo,
+    "test": test,
+    "lint": lint,
+    "bench": bench,
+    "lock": lock,
+    "setup": lambda _: 0,
+}
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the gate answers: a verdict, what speaks against the action, and what it was held against.
+
+Only `core.decide` makes one. Source: `alg:authguard`. Spec page: docs/spec/decision.md
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from msgspec import Struct
+
+from authguard_r.core.checks.approval import Need
+from authguard_r.core.finding import Findings
+from authguard_r.core.mission import Row
+from authguard_r.core.reasons import RETRYABLE, Reason
+from authguard_r.core.token import IndexedGrant
+
+
+class Verdict(StrEnum):
+    """The three answers of `alg:authguard`."""
+
+    ACCEPT = "accept"
+    REJECT = "reject"
+    REQUEST_APPROVAL = "request_approval"
+
+
+class Match(Struct, frozen=True, kw_only=True):
+    """The grant and row that fit best, and what still speaks against them."""
+
+    indexed: IndexedGrant
+    row: Row
+    findings: Findings
+
+
+class Decision(Struct, frozen=True, kw_only=True):
+    """What the gate decided and why. Not a truth value: read `verdict`.
+
+    Args:
+        verdict: the answer.
+        findings: every violated condition, primary first; empty exactly for `accept`.
+        match: the grant and row that the action was held against; None when step 1 stopped.
+        need: how many principals it takes, and what they must sign; None when step 1 stopped.
+    """
+
+    verdict: Verdict
+    findings: Findings
+    match: Match | None
+    need: Need | None
+
+    def __bool__(self) -> bool:
+        msg = "a decision has no truth value; compare `.verdict`"
+        raise TypeError(msg)
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """The codes of the findings, primary first, each once."""
+        return tuple(dict.fromkeys(finding.reason for finding in self.findings))
+
+    @property
+    def retryable(self) -> bool:
+        """True when the same proposal may pass later without a new signature."""
+        return bool(self.findings) and all(f.reason in RETRYABLE for f in self.findings)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The trusted core stays readable in an evening: at most 2,000 lines of code.
+
+Blank lines, comments and docstrings apart. Also caps modules and functions, as the house rules say.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import sys
+import tokenize
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+CORE = ROOT / "src" / "authguard_r" / "core"
+BUDGET = 2_000
+MODULE, FUNCTION, ENFORCEMENT = 300, 45, 300
+_SILENT = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+
+
+def code_lines(path: Path) -> int:
+    """Return how many lines of a module hold code."""
+    text = path.read_text()
+    documented: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
+            node
+        ):
+            first = node.body[0]
+            documented |= set(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in _SILENT:
+            lines |= set(range(token.start[0], token.end[0] + 1))
+    return len(lines - documented)
+
+
+def faults() -> list[str]:
+    """Return everything that is over its budget."""
+    found: list[str] = []
+    total = sum(code_lines(path) for path in CORE.rglob("*.py"))
+    if total > BUDGET:
+        found.append(f"core has {total} lines of code; {BUDGET} are allowed")
+    for path in (ROOT / "src" / "authguard_r").rglob("*.py"):
+        if code_lines(path) > MODULE:
+            found.append(f"{path.relative_to(ROOT)} has {code_lines(path)} lines of code")
+        found += [
+            f"{path.relative_to(ROOT)}:{node.lineno} `{node.name}` is longer than {FUNCTION} lines"
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.FunctionDef) and _body(node) > FUNCTION
+        ]
+    return found
+
+
+def _body(node: ast.FunctionDef) -> int:
+    """Return how long a function's body is, signature and docstring apart."""
+    body = node.body[1:] if ast.get_docstring(node) else node.body
+    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+if __name__ == "__main__":
+    problems = faults()
+    total = sum(code_lines(path) for path in CORE.rglob("*.py"))
+    print("\n".join(problems) or f"core: {total} of {BUDGET} lines of code")
+    sys.exit(1 if problems else 0)

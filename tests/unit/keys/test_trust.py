@@ -1,0 +1,348 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may say what: chains with revocation, signatures, gates, and the folder they come from."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import worlds
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import Encoding
+from unit.keys import chains
+from unit.keys.chains import DAY_MS, NOW, House, eku, house, san
+
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import Principal
+from authguard_r.keys.certificate import Role
+from authguard_r.keys.revocation import RevocationList
+from authguard_r.keys.trust import Trust, read_file, read_trust
+
+GATE_NAMES = (
+    chains.PRINCIPAL + "gate-1",
+    "urn:authguard-r:robot:courier-1",
+    "urn:authguard-r:profile:" + "A" * 43,
+)
+
+
+def refused(
+    trust: Trust, chain: tuple[bytes, ...], *, reason: Reason, where: str, now: Now = NOW
+) -> AuthenticityError:
+    with pytest.raises(AuthenticityError) as caught:
+        trust.identify(chain, now)
+    assert (caught.value.reason, caught.value.where) == (reason, where)
+    return caught.value
+
+
+# -- revocation ------------------------------------------------------------------------------------
+
+
+def test_a_good_chain_is_usable_until_the_first_of_certificates_and_lists_ends() -> None:
+    leaf = chains.leaf(house().people)
+    for days in (3, 40):
+        found = house().trust(days=days).identify(house().chain(leaf), NOW)
+        assert found.not_after_ms == NOW.utc_ms + min(days, 30) * DAY_MS
+
+
+@pytest.mark.parametrize("sooner", ["root", "people"])
+def test_the_list_that_ends_first_ends_the_chain(sooner: str) -> None:
+    ends = {"root": 9, "people": 9, sooner: 4}
+    held = {"root": house().root, "people": house().people}
+    lists = {
+        held[name].der: RevocationList(
+            number=1, next_update_ms=NOW.utc_ms + days * DAY_MS, serials=frozenset()
+        )
+        for name, days in ends.items()
+    }
+    trust = Trust(house().root.certificate, lists)
+    found = trust.identify(house().chain(chains.leaf(house().people)), NOW)
+    assert found.not_after_ms == NOW.utc_ms + 4 * DAY_MS
+
+
+def test_a_revoked_leaf_is_refused_and_the_one_beside_it_is_not() -> None:
+    trust = house().trust(revoked={house().people.der: frozenset({41})})
+    dead, alive = (chains.leaf(house().people, serial=serial) for serial in (41, 42))
+    refused(
+        trust, house().chain(dead), reason=Reason.CERTIFICATE_REVOKED, where="certificate"
+    )
+    assert trust.identify(house().chain(alive), NOW).serial == 42
+
+
+def test_a_revoked_authority_takes_all_its_leaves_with_it() -> None:
+    people = house().people
+    serial = people.certificate.serial_number
+    trust = house().trust(revoked={house().root.der: frozenset({serial})})
+    refused(
+        trust,
+        house().chain(chains.leaf(people)),
+        reason=Reason.CERTIFICATE_REVOKED,
+        where="certificate",
+    )
+
+
+def test_a_serial_revoked_by_one_authority_says_nothing_of_another_s() -> None:
+    """Serial numbers are an authority's own: the leaf's is not looked up in the root's list."""
+    leaf = chains.leaf(house().people, serial=41)
+    trust = house().trust(revoked={house().root.der: frozenset({41})})
+    assert trust.identify(house().chain(leaf), NOW).serial == 41
+    own = house().people.certificate.serial_number
+    trust = house().trust(revoked={house().people.der: frozenset({own})})
+    assert trust.identify(house().chain(leaf), NOW).serial == 41
+
+
+@pytest.mark.parametrize(("late_ms", "holds"), [(0, True), (1, False)])
+@pytest.mark.parametrize("stale", ["root", "people"])
+def test_a_list_past_its_next_update_refuses_what_it_should_cover(
+    stale: str, late_ms: int, holds: bool
+) -> None:
+    held = {"root": house().root, "people": house().people}
+    until = {"root": NOW.utc_ms + DAY_MS, "people": NOW.utc_ms + DAY_MS, stale: NOW.utc_ms}
+    lists = {
+        held[name].der: RevocationList(number=1, next_update_ms=end, serials=frozenset())
+        for name, end in until.items()
+    }
+    trust = Trust(house().root.certificate, lists)
+    chain = house().chain(chains.leaf(house().people))
+    now = Now(NOW.utc_ms + late_ms, 0)
+    if holds:
+        assert trust.identify(chain, now).not_after_ms == NOW.utc_ms
+    else:
+        refused(trust, chain, reason=Reason.REVOCATION_STALE, where="revocations", now=now)
+
+
+@pytest.mark.parametrize("missing", ["root", "people"])
+def test_a_missing_list_refuses_as_a_stale_one_does(missing: str) -> None:
+    held = {"root": house().root, "people": house().people}
+    lists = {
+        held[name].der: RevocationList(
+            number=1, next_update_ms=NOW.utc_ms + DAY_MS, serials=frozenset()
+        )
+        for name in held
+        if name != missing
+    }
+    trust = Trust(house().root.certificate, lists)
+    chain = house().chain(chains.leaf(house().people))
+    refused(trust, chain, reason=Reason.REVOCATION_STALE, where="revocations")
+
+
+def test_an_authority_certified_anew_does_not_inherit_the_old_one_s_list() -> None:
+    """Lists are found by the certificate's bytes, never by a name that a token chose."""
+    second = chains.authority(house().root, serial=99)
+    assert second.der != house().people.der
+    chain = (chains.leaf(second).der, second.der)
+    refused(house().trust(), chain, reason=Reason.REVOCATION_STALE, where="revocations")
+
+
+@pytest.mark.parametrize("length", [0, 1, 3, 8])
+def test_a_chain_of_another_length_is_refused(length: int) -> None:
+    leaf = chains.leaf(house().people)
+    chain = (leaf.der, house().people.der, house().root.der, *(b"" for _ in range(5)))[:length]
+    error = refused(
+        house().trust(), chain, reason=Reason.CERTIFICATE_INVALID, where="certificate"
+    )
+    assert f"got {length}" in error.message
+
+
+# -- signatures ------------------------------------------------------------------------------------
+
+
+def test_a_signature_is_its_leaf_s_word() -> None:
+    leaf = chains.leaf(house().people)
+    found = house().trust(days=3).verify(
+        b"go", signature=leaf.key.sign(b"go"), chain=house().chain(leaf), now=NOW
+    )
+    assert found == Principal(
+        id="operator-1", role="operator", usable_until_ms=NOW.utc_ms + 3 * DAY_MS
+    )
+
+
+@pytest.mark.parametrize("who", ["another leaf", "the authority", "the root", "nobody"])
+def test_the_signature_of_another_key_does_not_hold(who: str) -> None:
+    leaf = chains.leaf(house().people)
+    signature = {
+        "another leaf": chains.key("leaf operator-2").sign(b"go"),
+        "the authority": house().people.key.sign(b"go"),
+        "the root": house().root.key.sign(b"go"),
+        "nobody": b"",
+    }[who]
+    with pytest.raises(AuthenticityError) as caught:
+        house().trust().verify(b"go", signature=signature, chain=house().chain(leaf), now=NOW)
+    assert (caught.value.reason, caught.value.where) == (Reason.SIGNATURE_INVALID, "signature")
+
+
+def test_a_chain_that_does_not_hold_is_named_before_its_signature_is_looked_at() -> None:
+    """Paper order: step 1 comes before step 2."""
+    leaf = chains.leaf(house().people, by=chains.key("mallory"))
+    with pytest.raises(AuthenticityError) as caught:
+        house().trust().verify(b"go", signature=b"", chain=house().chain(leaf), now=NOW)
+    assert caught.value.reason is Reason.CERTIFICATE_INVALID
+
+
+# -- gates -----------------------------------------------------------------------------------------
+
+
+def machines() -> tuple[House, Trust]:
+    issuer = chains.authority(
+        house().root, (Role.GATE, Role.ESTIMATOR), subject="Machines authority"
+    )
+    site = House(house().root, issuer)
+    return site, site.trust()
+
+
+def test_a_gate_is_the_robot_and_the_profile_in_its_certificate() -> None:
+    site, trust = machines()
+    gate = chains.leaf(site.people, "gate-1", role=(eku(Role.GATE), True), names=(san(*GATE_NAMES), False))
+    assert trust.gate_identity(site.chain(gate), NOW) == ("courier-1", "A" * 43)
+
+
+@pytest.mark.parametrize(
+    ("role", "names"),
+    [
+        (Role.ESTIMATOR, GATE_NAMES),
+        (Role.GATE, GATE_NAMES[:1]),
+        (Role.GATE, GATE_NAMES[:2]),
+        (Role.GATE, (GATE_NAMES[0], GATE_NAMES[2])),
+    ],
+    ids=["another role", "neither", "no profile", "no robot"],
+)
+def test_a_certificate_that_is_no_whole_gate_s_is_no_gate(
+    role: Role, names: tuple[str, ...]
+) -> None:
+    site, trust = machines()
+    leaf = chains.leaf(site.people, "gate-1", role=(eku(role), True), names=(san(*names), False))
+    assert trust.identify(site.chain(leaf), NOW).principal == "gate-1"
+    with pytest.raises(AuthenticityError) as caught:
+        trust.gate_identity(site.chain(leaf), NOW)
+    assert (caught.value.reason, caught.value.where) == (Reason.ROLE_DENIED, "certificate.leaf")
+
+
+def test_a_revoked_gate_is_no_gate() -> None:
+    site, _ = machines()
+    gate = chains.leaf(
+        site.people, "gate-1", role=(eku(Role.GATE), True), names=(san(*GATE_NAMES), False), serial=8
+    )
+    trust = site.trust(revoked={site.people.der: frozenset({8})})
+    with pytest.raises(AuthenticityError) as caught:
+        trust.gate_identity(site.chain(gate), NOW)
+    assert caught.value.reason is Reason.CERTIFICATE_REVOKED
+
+
+# -- roots -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "public",
+    [
+        Ed25519PublicKey.from_public_bytes(b"\x01" + bytes(31)),
+        ec.generate_private_key(ec.SECP256R1()).public_key(),
+    ],
+    ids=["low order", "P-256"],
+)
+def test_a_root_with_an_unsound_key_is_refused_at_the_start(public: Ed25519PublicKey) -> None:
+    bad = chains.certify(public, subject="Root", issuer="Root", by=chains.key("Root"))
+    with pytest.raises(AuthenticityError) as caught:
+        Trust(bad, {})
+    assert (caught.value.reason, caught.value.where) == (Reason.KEY_INVALID, "root")
+
+
+def test_a_demo_root_is_known_as_one() -> None:
+    assert read_trust(worlds.trust_folder()).demo
+    assert not house().trust().demo
+
+
+# -- the folder ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    copy = tmp_path / "trust"
+    shutil.copytree(worlds.trust_folder(), copy)
+    return copy
+
+
+def test_the_folder_of_keys_init_is_a_whole_trust_root(folder: Path) -> None:
+    trust = read_trust(folder)
+    for path in sorted((folder / "keys").glob("*.cert.pem")):
+        chain = tuple(
+            cert.public_bytes(Encoding.DER)
+            for cert in chains.x509.load_pem_x509_certificates(path.read_bytes())
+        )
+        assert trust.identify(chain, worlds.NOW).principal == path.name.removesuffix(".cert.pem")
+
+
+@pytest.mark.parametrize(
+    "part", ["root.pem", "revocations/root.json", "revocations/people.json"]
+)
+def test_a_part_that_is_missing_is_a_fault_of_the_world_that_names_it(
+    folder: Path, part: str
+) -> None:
+    (folder / part).unlink()
+    with pytest.raises(EnvironmentFault) as caught:
+        read_trust(folder)
+    assert caught.value.reason is Reason.STORE_UNAVAILABLE
+    assert caught.value.where == str(folder / part)
+
+
+@pytest.mark.parametrize("part", ["root.pem", "authorities/people.pem"])
+@pytest.mark.parametrize("data", [b"", b"junk", b"-----BEGIN CERTIFICATE-----\nAAAA\n"])
+def test_a_certificate_that_is_none_is_refused(folder: Path, part: str, data: bytes) -> None:
+    (folder / part).write_bytes(data)
+    with pytest.raises(AuthenticityError) as caught:
+        read_trust(folder)
+    assert caught.value.reason is Reason.CERTIFICATE_INVALID
+    assert caught.value.where == part.rpartition("/")[2]
+
+
+@pytest.mark.parametrize("part", ["root.pem", "authorities/people.pem"])
+def test_a_certificate_in_the_folder_with_an_unsound_key_is_refused(
+    folder: Path, part: str
+) -> None:
+    public = Ed25519PublicKey.from_public_bytes(b"\x01" + bytes(31))
+    bad = chains.certify(public, subject="x", issuer="x", by=chains.key("x"))
+    (folder / part).write_bytes(bad.public_bytes(Encoding.PEM))
+    with pytest.raises(AuthenticityError) as caught:
+        read_trust(folder)
+    assert caught.value.reason is Reason.KEY_INVALID
+    assert caught.value.where == part.rpartition("/")[2]
+
+
+def test_the_list_of_another_authority_in_its_place_is_refused(folder: Path) -> None:
+    lists = folder / "revocations"
+    (lists / "people.json").write_bytes((lists / "machines.json").read_bytes())
+    with pytest.raises(AuthenticityError) as caught:
+        read_trust(folder)
+    assert (caught.value.reason, caught.value.where) == (
+        Reason.SIGNATURE_INVALID,
+        "revocations/people",
+    )
+
+
+def test_a_list_that_is_none_is_refused(folder: Path) -> None:
+    (folder / "revocations" / "site.json").write_bytes(b"{}")
+    with pytest.raises(MalformedError) as caught:
+        read_trust(folder)
+    assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, "revocations/site")
+
+
+def test_an_authority_without_a_file_here_has_no_list_and_is_refused(folder: Path) -> None:
+    (folder / "authorities" / "people.pem").unlink()
+    trust = read_trust(folder)
+    chain = tuple(
+        cert.public_bytes(Encoding.DER)
+        for cert in chains.x509.load_pem_x509_certificates(
+            (folder / "keys" / "operator-1.cert.pem").read_bytes()
+        )
+    )
+    refused(trust, chain, reason=Reason.REVOCATION_STALE, where="revocations", now=worlds.NOW)
+
+
+def test_a_file_that_cannot_be_read_says_which_and_why(tmp_path: Path) -> None:
+    with pytest.raises(EnvironmentFault) as caught:
+        read_file(tmp_path)
+    assert caught.value.reason is Reason.STORE_UNAVAILABLE
+    assert str(tmp_path) in caught.value.message
+    assert "directory" in caught.value.message
