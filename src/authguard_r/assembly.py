@@ -14,9 +14,9 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from authguard_r.audit.record import Terminal
+from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.action import Action
-from authguard_r.core.encoding import Tag, b64
+from authguard_r.core.encoding import Tag, b64, decode
 from authguard_r.core.errors import ControllerError, EnvironmentFault
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, RobotId
@@ -40,7 +40,10 @@ from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.world import WorldState, initial_state
 from authguard_r.site.model import Site, facts_of, profile_digest
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.sqlite import open_store
+from authguard_r.store.sqlite import open_store, read_held, read_rows
+
+#: What the first record of a log with simulated time says of its clock.
+SIMULATED = "simulated"
 
 
 class SystemClock:
@@ -184,6 +187,8 @@ def simulate(
         AuthGuardError: a part is missing, not authentic or not usable.
     """
     trust = read_trust(folder)
+    if store is not None and store.is_file():
+        start_ms = max(start_ms, store_clock(store).wall_ms())
     robot = SymbolicRobot(
         site,
         rid,
@@ -203,10 +208,50 @@ def simulate(
         source=robot,
         clock=robot,
         store=MemoryStore() if store is None else open_store(store),
-        genesis={"binding": binding_digest(binding), "safety": safety_digest(config)},
+        genesis={
+            "binding": binding_digest(binding),
+            "safety": safety_digest(config),
+            "clock": SIMULATED,
+        },
     )
     binder = Binder(site, binding)
     return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
+
+
+class _SimulatedSince:
+    """A clock for a store whose time is simulated: never behind what was committed there."""
+
+    def __init__(self, high_ms: int) -> None:
+        self._high_ms = high_ms
+        self._system = SystemClock()
+
+    def wall_ms(self) -> int:
+        """Return the wall clock, or the simulated time when that is ahead."""
+        return max(self._system.wall_ms(), self._high_ms)
+
+    def mono_ms(self) -> int:
+        """Return the monotonic clock."""
+        return self._system.mono_ms()
+
+    def pause(self, duration_ms: int) -> None:
+        """Sleep."""
+        self._system.pause(duration_ms)
+
+
+def store_clock(store: Path) -> Clock:
+    """Return the clock that a store's times were taken from: the machine's, or a simulated one.
+
+    Only a log that says so in its first record has simulated time; `authguard run` writes such.
+    """
+    if not store.is_file():
+        return SystemClock()
+    first = next(iter(read_rows(store)), None)
+    high = read_held(store, "clock", "high")
+    if first is None or high is None:
+        return SystemClock()
+    if read_record(first.record, where="record 0").open.get("clock") != SIMULATED:
+        return SystemClock()
+    return _SimulatedSince(decode(high, Now, where="store.clock").utc_ms)
 
 
 class _NoRobot:
@@ -242,7 +287,7 @@ def offline_gate(folder: Path, site: Site, *, rid: RobotId, store: Path) -> Gate
         safety=EnvelopeGate(default_config(site, rid)),
         controller=nothing,
         source=nothing,
-        clock=SystemClock(),
+        clock=store_clock(store),
         store=open_store(store),
         genesis={},
     )

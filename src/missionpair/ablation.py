@@ -12,6 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 from authguard_r.core import decide as gate
+from authguard_r.core import lease
 from authguard_r.core.checks import GRANT_CHECKS, MISSION_CHECKS, ROW_CHECKS
 
 #: Every check of the gate by name; the certificate and the approval are not in a list.
@@ -32,8 +33,10 @@ def without(*names: str) -> Iterator[None]:
         for name in ("check_certificate", "check_approval"):
             if name in names:
                 stack.enter_context(patch.object(gate, name, _finds_nothing))
+        if "check_registry" in names:  # the lease asks the same condition again
+            stack.enter_context(patch.object(lease, "registry_findings", _finds_nothing))
         yield
 
 
-def _finds_nothing(*_: Any) -> tuple[()]:
+def _finds_nothing(*_: Any, **__: Any) -> tuple[()]:
     return ()

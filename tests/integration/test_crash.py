@@ -25,7 +25,6 @@ import pytest
 
 import worlds
 from authguard_r.audit.verify import Row, verify_rows
-from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import StoreError
 from authguard_r.core.lifecycle import Status
@@ -91,7 +90,7 @@ class Story:
     def _decision(self, row: Row, opened: dict[str, Any], decision: str) -> None:
         if opened["ticket"] == "-":
             return
-        assert decision == Verdict.ACCEPT
+        assert decision == "accept"
         assert not self.open, "a release was made while another was in flight"
         assert self.status is Status.ACTIVE
         self._use(opened["grant"], starts=1)

@@ -23,9 +23,11 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.out import action_json, emit
-from authguard_r.core.action import Action
+from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
+from authguard_r.core.identifiers import Digest
 from authguard_r.core.provenance import Label
+from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import VerifiedMission
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, Dialect, normalize
@@ -131,7 +133,9 @@ def _answer(
     except MalformedError as error:
         refusal = {"reason": str(error.reason), "where": error.where, "message": error.message}
         return {"refusal": refusal}, 4
-    actions = [_labelled(step.action, verified, ledger.base()) for step in plan.steps]
+    actions = [
+        _labelled(step.action, verified, ledger.base(), plan.evidence) for step in plan.steps
+    ]
     return {
         "actions": [action_json(action) for action in actions],
         "evidence": plan.evidence,
@@ -141,6 +145,16 @@ def _answer(
     }, 0
 
 
-def _labelled(action: Action, verified: VerifiedMission | None, base: Label) -> Action:
+def _labelled(
+    action: Action, verified: VerifiedMission | None, base: Label, evidence: Digest
+) -> Action:
+    """Set what a planner may not say of itself: labels, and who, when, from what."""
     labels = label_fields(action, verified, None, base=base)
-    return msgspec.structs.replace(action, provenance=labels)
+    meta = ActionMeta(
+        planner="planner",
+        timestamp=to_timestamp(wall_now(None).utc_ms),
+        evidence=evidence,
+        mission=None if verified is None else verified.mission.mid,
+        mission_version=0 if verified is None else verified.mission.version,
+    )
+    return msgspec.structs.replace(action, provenance=labels, meta=meta)

@@ -141,7 +141,7 @@ def _place(message: str, where: str) -> tuple[str, str]:
     text, _, place = message.partition(" - at ")
     place = place.strip("`").removeprefix("$").removeprefix(".")
     joined = f"{where}.{place}" if where and place else where or place
-    return text[:1].lower() + text[1:], joined
+    return (text if text[1:2].isupper() else text[:1].lower() + text[1:]), joined
 
 
 def _plain(value: Any) -> Any:

@@ -12,10 +12,10 @@ from typing import Any
 import msgspec
 import pytest
 import rfc8785
-import worlds
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+import worlds
 from authguard_r.core.encoding import (
     MAX_BYTES,
     Tag,
@@ -264,7 +264,9 @@ def test_every_accepted_byte_string_is_the_encoding_of_what_it_says(data: st.Dat
     length = data.draw(st.integers(0, 3))
     new = data.draw(
         st.binary(max_size=3)
-        | st.sampled_from([b" ", b"\n", b"0", b"-", b'"', b",", b"\\u0061", b"null", b"1.0", b"1e0"])
+        | st.sampled_from(
+            [b" ", b"\n", b"0", b"-", b'"', b",", b"\\u0061", b"null", b"1.0", b"1e0"]
+        )
         | st.just(good[at : at + data.draw(st.integers(0, 40))] * 2)
     )
     changed = good[:at] + new + good[at + length :]
@@ -492,7 +494,9 @@ def test_a_second_spelling_of_base64url_is_not_canonical(text: str) -> None:
     assert caught.value.where == "token.payload"
 
 
-@pytest.mark.parametrize("text", ["A", "AAAAA", "\u0410\u0410", "\ud800", "AA\u00e9", "AA\n", " AA", "A\0AA"])
+@pytest.mark.parametrize(
+    "text", ["A", "AAAAA", "\u0410\u0410", "\ud800", "AA\u00e9", "AA\n", " AA", "A\0AA"]
+)
 def test_text_that_is_no_base64url_is_malformed(text: str) -> None:
     with pytest.raises(MalformedError) as caught:
         unb64(text, where="token.payload")

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from itertools import combinations
 
 import pytest
-import worlds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import worlds
 from authguard_r.core.facts import RegionFacts, SiteFacts
 from authguard_r.core.geometry import Point, Polygon, may_lie_in, polygon
 from authguard_r.core.identifiers import MAX_INTEGER
@@ -56,9 +56,7 @@ def on_segment(a: Point, b: Point, c: Point) -> bool:
 def meet(a: Point, b: Point, c: Point, d: Point) -> bool:
     if turn(a, b, c) * turn(a, b, d) < 0 and turn(c, d, a) * turn(c, d, b) < 0:
         return True
-    return (
-        on_segment(a, b, c) or on_segment(a, b, d) or on_segment(c, d, a) or on_segment(c, d, b)
-    )
+    return on_segment(a, b, c) or on_segment(a, b, d) or on_segment(c, d, a) or on_segment(c, d, b)
 
 
 def is_simple(corners: Corners) -> bool:
@@ -113,7 +111,7 @@ def test_the_polygons_of_this_test_are_what_it_says() -> None:
 
 
 def test_ours_equals_the_oracle_on_random_polygons_points_and_margins() -> None:
-    pick = random.Random(7)  # noqa: S311 - the same cases in every run
+    pick = random.Random(7)
     polygons = simple_polygons(pick)
     asked = touches = inside = outside = 0
     while asked < 24_000:
@@ -136,7 +134,7 @@ def test_ours_equals_the_oracle_on_random_polygons_points_and_margins() -> None:
 
 
 def test_a_repeated_corner_changes_nothing() -> None:
-    pick = random.Random(8)  # noqa: S311 - the same cases in every run
+    pick = random.Random(8)
     polygons = simple_polygons(pick)
     for _ in range(400):
         corners = next(polygons)
@@ -273,7 +271,9 @@ def test_the_box_is_the_smallest_one() -> None:
 # -- maps and floors -------------------------------------------------------------------------------
 
 
-def snapshot(*, at: str = "main", floor: int = 1, x: int = 5, y: int = 5, margin: int = 0) -> Snapshot:
+def snapshot(
+    *, at: str = "main", floor: int = 1, x: int = 5, y: int = 5, margin: int = 0
+) -> Snapshot:
     pose = Pose(
         map=at, floor=floor, x_mm=x, y_mm=y, margin_mm=margin, label=Label.TRUSTED_SENSOR, age_ms=0
     )

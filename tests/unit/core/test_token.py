@@ -11,12 +11,10 @@ from typing import Any
 
 import msgspec
 import pytest
-import worlds
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.keys import chains
-from unit.keys.chains import TODAY, Held, eku, house
 
+import worlds
 from authguard_r.assembly import folder_signer, folder_trust
 from authguard_r.core.encoding import MAX_BYTES, Tag, b64, digest, encode, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
@@ -34,6 +32,8 @@ from authguard_r.core.token import (
 )
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import Trust
+from unit.keys import chains
+from unit.keys.chains import TODAY, Held, eku, house
 
 replace = msgspec.structs.replace
 OPERATORS = frozenset({"operator"})
@@ -79,7 +79,8 @@ def token(value: object | None = None, **changes: Any) -> Token:
 
 def endorse(payload: bytes, by: Signer, *, tag: Tag = Tag.MISSION) -> Endorsement:
     return Endorsement(
-        chain=tuple(b64(der) for der in by.chain), signature=b64(by.sign(unb64(digest(tag, payload))))
+        chain=tuple(b64(der) for der in by.chain),
+        signature=b64(by.sign(unb64(digest(tag, payload)))),
     )
 
 
@@ -244,9 +245,7 @@ def test_bytes_that_are_nothing_like_a_token_are_malformed(data: bytes) -> None:
 @pytest.mark.parametrize("kind", [tag for tag in Tag if tag is not Tag.MISSION])
 def test_a_token_of_another_kind_is_no_mission(kind: Tag) -> None:
     """The kind is compared before a single certificate is looked at."""
-    error = refused(
-        signed(encode(mission()), kind=kind, tag=kind), Reason.WRONG_KIND, "token.kind"
-    )
+    error = refused(signed(encode(mission()), kind=kind, tag=kind), Reason.WRONG_KIND, "token.kind")
     assert f"`{kind}`" in error.message
 
 
@@ -287,9 +286,7 @@ def test_a_signature_over_the_bare_payload_does_not_hold() -> None:
 )
 def test_a_principal_in_another_role_may_not_sign_a_mission(who: str) -> None:
     value = mission(issuer=who)
-    error = refused(
-        sign_object(value, Tag.MISSION, signer(who)), Reason.ROLE_DENIED, ENDORSED
-    )
+    error = refused(sign_object(value, Tag.MISSION, signer(who)), Reason.ROLE_DENIED, ENDORSED)
     assert "operator" in error.message
 
 
@@ -384,9 +381,7 @@ def test_a_certificate_out_of_its_time_is_refused_in_its_place(dates: dict[str, 
 def test_a_revoked_signer_is_refused_and_a_stale_list_refuses_all() -> None:
     leaf = chains.leaf(house().people, serial=41)
     revoked = house().trust(revoked={house().people.der: frozenset({41})})
-    refused(
-        at_house(leaf), Reason.CERTIFICATE_REVOKED, "certificate", by=revoked, now=chains.NOW
-    )
+    refused(at_house(leaf), Reason.CERTIFICATE_REVOKED, "certificate", by=revoked, now=chains.NOW)
     stale = house().trust(days=-1)
     refused(at_house(leaf), Reason.REVOCATION_STALE, "revocations", by=stale, now=chains.NOW)
 
@@ -453,7 +448,9 @@ def test_the_signature_of_another_mission_does_not_carry_over() -> None:
     data = encode_fast(replace(genuine, payload=b64(encode(wide))))
     refused(data, Reason.SIGNATURE_INVALID, "signature")
     other = token(wide).endorsements
-    refused(encode_fast(replace(genuine, endorsements=other)), Reason.SIGNATURE_INVALID, "signature")
+    refused(
+        encode_fast(replace(genuine, endorsements=other)), Reason.SIGNATURE_INVALID, "signature"
+    )
 
 
 @pytest.mark.parametrize("length", [0, 1, 32, 63, 65, 4096])
@@ -498,9 +495,25 @@ def test_signed_bytes_in_another_spelling_are_refused_although_the_signature_hol
         (b'"on_refusal":"hold"', b'"on_refusal":"go"', "mission.on_refusal"),
         (b'"rid":"courier-1"', b'"rid":"Courier-1"', "mission.rid"),
         (b'"nonce":"AAAAAAAAAAAAAAAAAAAAAA"', b'"nonce":"A"', "mission.nonce"),
-        (b'"schema":"authguard-r/mission/1"', b'"schema":"authguard-r/mission/2"', "mission.schema"),
+        (
+            b'"schema":"authguard-r/mission/1"',
+            b'"schema":"authguard-r/mission/2"',
+            "mission.schema",
+        ),
     ],
-    ids=["1.0", "1e0", "negative", "text", "truth", "2**53", "unknown", "word", "case", "nonce", "schema"],
+    ids=[
+        "1.0",
+        "1e0",
+        "negative",
+        "text",
+        "truth",
+        "2**53",
+        "unknown",
+        "word",
+        "case",
+        "nonce",
+        "schema",
+    ],
 )
 def test_signed_nonsense_is_malformed_in_its_place(old: bytes, new: bytes, where: str) -> None:
     payload = encode(mission())

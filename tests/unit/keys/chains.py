@@ -200,7 +200,7 @@ def leaf(
     basic: Extra | None = (LEAF_BASIC, True),
     use: Extra | None = (usage(signs=True, certifies=False), True),
     role: Extra | None = (eku(Role.OPERATOR), True),
-    names: Extra | None | str = "",
+    names: Extra | str | None = "",
     extra: tuple[Extra, ...] = (),
     issuer_name: str | None = None,
 ) -> Held:
@@ -233,9 +233,7 @@ class House:
     root: Held
     people: Held
 
-    def trust(
-        self, *, revoked: dict[bytes, frozenset[int]] | None = None, days: int = 30
-    ) -> Trust:
+    def trust(self, *, revoked: dict[bytes, frozenset[int]] | None = None, days: int = 30) -> Trust:
         """Return the trust root, with serials revoked by the DER of the authority."""
         dead = revoked or {}
         until = NOW.utc_ms + days * DAY_MS

@@ -15,8 +15,6 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID, ObjectIdentifier
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.keys import chains
-from unit.keys.chains import NOW, OIDS, PRINCIPAL, TODAY, Held, eku, house, san, usage
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.quantities import Now
@@ -31,6 +29,8 @@ from authguard_r.keys.certificate import (
     load,
     walk,
 )
+from unit.keys import chains
+from unit.keys.chains import NOW, OIDS, PRINCIPAL, TODAY, Held, eku, house, san, usage
 
 LEAF = "certificate.leaf"
 AUTHORITY = "certificate.authority"
@@ -252,7 +252,10 @@ def test_a_principal_that_is_no_identifier_is_refused(principal: str) -> None:
 
 def test_the_longest_principal_passes() -> None:
     longest = "a" + "b" * 63
-    assert walked(chains.leaf(house().people, names=(san(PRINCIPAL + longest), False))).principal == longest
+    assert (
+        walked(chains.leaf(house().people, names=(san(PRINCIPAL + longest), False))).principal
+        == longest
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.keys import chains
 
 from authguard_r.core.encoding import Tag, b64, digest, encode, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.revocation import Revocation, SignedRevocation, read_list, sign_list
+from unit.keys import chains
 
 KEY = chains.key("People authority")
 WHERE = "revocations/people"

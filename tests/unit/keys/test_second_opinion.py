@@ -17,11 +17,11 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, ObjectIdentifier
 from OpenSSL import crypto
-from unit.keys import chains
-from unit.keys.chains import NOW, OIDS, TODAY, Held, eku, house, san, usage
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root, walk
+from unit.keys import chains
+from unit.keys.chains import NOW, OIDS, TODAY, Held, eku, house, san, usage
 
 Chain = tuple[Held, Held, Held]
 LONG_AGO = {"start": TODAY - timedelta(days=9), "end": TODAY - timedelta(days=2)}
@@ -188,7 +188,7 @@ def test_only_we_refuse(make: Callable[[], Chain]) -> None:
 
 def test_what_we_accept_openssl_accepts_too_over_random_chains() -> None:
     """Every knob turned at random, several at once; about a tenth of the chains are good."""
-    pick = random.Random(20300615)  # noqa: S311 - the same chains in every run
+    pick = random.Random(20300615)
 
     def maybe(value: Any, *others: Any) -> Any:
         return pick.choice(others) if pick.random() < 0.18 else value

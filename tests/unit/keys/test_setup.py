@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
-from unit.keys.chains import DAY_MS, NOW, TODAY
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.quantities import Now
@@ -20,6 +19,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import AUTHORITIES, Member, init_folder, write_revocations
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
+from unit.keys.chains import DAY_MS, NOW, TODAY
 
 MEMBERS = (
     Member(id="operator-1", role=Role.OPERATOR),

@@ -16,12 +16,12 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
     PublicFormat,
 )
-from unit.keys import chains
-from unit.keys.chains import Held, house
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.signer import read_signer
+from unit.keys import chains
+from unit.keys.chains import Held, house
 
 LEAF = chains.leaf(house().people)
 
@@ -54,8 +54,10 @@ def refused(folder: Path, key: bytes, chain: bytes, *, where: str) -> Authentici
 def test_a_signer_signs_as_its_leaf(tmp_path: Path) -> None:
     signer = read_signer(*files(tmp_path, pem(LEAF.key), cert(LEAF, house().people)))
     assert signer.chain == (LEAF.der, house().people.der)
-    found = house().trust().verify(
-        b"go", signature=signer.sign(b"go"), chain=signer.chain, now=chains.NOW
+    found = (
+        house()
+        .trust()
+        .verify(b"go", signature=signer.sign(b"go"), chain=signer.chain, now=chains.NOW)
     )
     assert found.id == "operator-1"
 

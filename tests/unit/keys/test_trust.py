@@ -7,13 +7,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-import worlds
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import Encoding
-from unit.keys import chains
-from unit.keys.chains import DAY_MS, NOW, House, eku, house, san
 
+import worlds
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -21,6 +19,8 @@ from authguard_r.core.token import Principal
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust, read_file, read_trust
+from unit.keys import chains
+from unit.keys.chains import DAY_MS, NOW, House, eku, house, san
 
 GATE_NAMES = (
     chains.PRINCIPAL + "gate-1",
@@ -66,9 +66,7 @@ def test_the_list_that_ends_first_ends_the_chain(sooner: str) -> None:
 def test_a_revoked_leaf_is_refused_and_the_one_beside_it_is_not() -> None:
     trust = house().trust(revoked={house().people.der: frozenset({41})})
     dead, alive = (chains.leaf(house().people, serial=serial) for serial in (41, 42))
-    refused(
-        trust, house().chain(dead), reason=Reason.CERTIFICATE_REVOKED, where="certificate"
-    )
+    refused(trust, house().chain(dead), reason=Reason.CERTIFICATE_REVOKED, where="certificate")
     assert trust.identify(house().chain(alive), NOW).serial == 42
 
 
@@ -141,9 +139,7 @@ def test_an_authority_certified_anew_does_not_inherit_the_old_one_s_list() -> No
 def test_a_chain_of_another_length_is_refused(length: int) -> None:
     leaf = chains.leaf(house().people)
     chain = (leaf.der, house().people.der, house().root.der, *(b"" for _ in range(5)))[:length]
-    error = refused(
-        house().trust(), chain, reason=Reason.CERTIFICATE_INVALID, where="certificate"
-    )
+    error = refused(house().trust(), chain, reason=Reason.CERTIFICATE_INVALID, where="certificate")
     assert f"got {length}" in error.message
 
 
@@ -152,8 +148,10 @@ def test_a_chain_of_another_length_is_refused(length: int) -> None:
 
 def test_a_signature_is_its_leaf_s_word() -> None:
     leaf = chains.leaf(house().people)
-    found = house().trust(days=3).verify(
-        b"go", signature=leaf.key.sign(b"go"), chain=house().chain(leaf), now=NOW
+    found = (
+        house()
+        .trust(days=3)
+        .verify(b"go", signature=leaf.key.sign(b"go"), chain=house().chain(leaf), now=NOW)
     )
     assert found == Principal(
         id="operator-1", role="operator", usable_until_ms=NOW.utc_ms + 3 * DAY_MS
@@ -195,7 +193,9 @@ def machines() -> tuple[House, Trust]:
 
 def test_a_gate_is_the_robot_and_the_profile_in_its_certificate() -> None:
     site, trust = machines()
-    gate = chains.leaf(site.people, "gate-1", role=(eku(Role.GATE), True), names=(san(*GATE_NAMES), False))
+    gate = chains.leaf(
+        site.people, "gate-1", role=(eku(Role.GATE), True), names=(san(*GATE_NAMES), False)
+    )
     assert trust.gate_identity(site.chain(gate), NOW) == ("courier-1", "A" * 43)
 
 
@@ -223,7 +223,11 @@ def test_a_certificate_that_is_no_whole_gate_s_is_no_gate(
 def test_a_revoked_gate_is_no_gate() -> None:
     site, _ = machines()
     gate = chains.leaf(
-        site.people, "gate-1", role=(eku(Role.GATE), True), names=(san(*GATE_NAMES), False), serial=8
+        site.people,
+        "gate-1",
+        role=(eku(Role.GATE), True),
+        names=(san(*GATE_NAMES), False),
+        serial=8,
     )
     trust = site.trust(revoked={site.people.der: frozenset({8})})
     with pytest.raises(AuthenticityError) as caught:
@@ -274,9 +278,7 @@ def test_the_folder_of_keys_init_is_a_whole_trust_root(folder: Path) -> None:
         assert trust.identify(chain, worlds.NOW).principal == path.name.removesuffix(".cert.pem")
 
 
-@pytest.mark.parametrize(
-    "part", ["root.pem", "revocations/root.json", "revocations/people.json"]
-)
+@pytest.mark.parametrize("part", ["root.pem", "revocations/root.json", "revocations/people.json"])
 def test_a_part_that_is_missing_is_a_fault_of_the_world_that_names_it(
     folder: Path, part: str
 ) -> None:

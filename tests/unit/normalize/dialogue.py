@@ -9,8 +9,8 @@ from functools import cache
 from typing import Any
 
 import pytest
-import worlds
 
+import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, Plan, normalize

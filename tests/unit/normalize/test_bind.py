@@ -10,11 +10,10 @@ from typing import Any
 
 import msgspec
 import pytest
-import worlds
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from unit.normalize.dialogue import WRITERS, Call, as_json, binder, place, read, refused
 
+import worlds
 from authguard_r.core.action import Action, scope_of
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
@@ -24,6 +23,7 @@ from authguard_r.normalize import Dialect
 from authguard_r.normalize.bind import scale
 from authguard_r.normalize.binding import Use
 from authguard_r.site.model import Parameter, Rounding
+from unit.normalize.dialogue import WRITERS, Call, as_json, binder, place, read, refused
 
 GO = ("navigate_to", {"destination": "Dock"})
 SCAN: Call = ("scan", {})
@@ -89,7 +89,9 @@ def test_nothing_of_an_action_is_provenance_or_meta() -> None:
     assert (found.provenance, found.meta) == ({}, None)
 
 
-@pytest.mark.parametrize("name", ["provenance", "meta", "type", "tool", "params", "approved", "mid"])
+@pytest.mark.parametrize(
+    "name", ["provenance", "meta", "type", "tool", "params", "approved", "mid"]
+)
 def test_a_planner_cannot_name_its_own_authority(name: str) -> None:
     call = ("navigate_to", {"destination": "Dock", name: "operator"})
     refused(as_json(call), Reason.FIELD_UNKNOWN, f"plan[0].{name}")
@@ -293,7 +295,8 @@ def test_a_route_with_one_fault_is_refused_at_its_entry(
 
 
 @pytest.mark.parametrize(
-    "speed", ["NaN", "Infinity", "-Infinity", "1e400", "1" * 60, "0x1", "1_0", "+1", "01", ".5", "nan"]
+    "speed",
+    ["NaN", "Infinity", "-Infinity", "1e400", "1" * 60, "0x1", "1_0", "+1", "01", ".5", "nan"],
 )
 def test_a_number_that_is_none_never_reaches_a_comparison(speed: str) -> None:
     """Written into the raw text of each dialect (L3)."""
@@ -523,7 +526,8 @@ def test_an_integer_that_signed_data_cannot_hold_is_out_of_range_whatever_the_ty
 
 
 @pytest.mark.parametrize(
-    "value", [True, False, "1", 1.0, float("nan"), float("inf"), None, [1], {}, b"1", Fraction(1, 2)]
+    "value",
+    [True, False, "1", 1.0, float("nan"), float("inf"), None, [1], {}, b"1", Fraction(1, 2)],
 )
 @pytest.mark.parametrize("rounding", Rounding)
 def test_a_value_that_is_no_exact_number_is_refused(value: Any, rounding: Rounding) -> None:

@@ -7,18 +7,18 @@ import json
 from itertools import combinations
 
 import pytest
-import worlds
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.normalize.dialogue import as_json, binder, read
 
+import worlds
 from authguard_r.core.action import Action
-from authguard_r.core.checks.provenance import label_fields
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.context import CHANNELS, ContextLedger, Influence
+from authguard_r.normalize.labels import label_fields
+from unit.normalize.dialogue import as_json, binder, read
 
 #: `tab:provenance` as docs/spec/provenance.md has it, for the context of a planner.
 TABLE = {
@@ -60,7 +60,9 @@ def test_no_channel_of_a_planner_s_context_is_more_than_the_model_s() -> None:
     assert set(CHANNELS.values()) <= set(LADDER)
 
 
-@pytest.mark.parametrize("channel", ["", "Camera", "camera ", "lidar", "trusted_sensor", "operator\n"])
+@pytest.mark.parametrize(
+    "channel", ["", "Camera", "camera ", "lidar", "trusted_sensor", "operator\n"]
+)
 def test_a_channel_that_nobody_labelled_is_refused_and_nothing_is_noted(channel: str) -> None:
     context = ledger()
     with pytest.raises(MalformedError) as caught:
@@ -90,7 +92,7 @@ def test_one_input_gives_its_channel_s_label(channel: str, label: Label) -> None
     assert context.base() is label
 
 
-@pytest.mark.parametrize(("one", "two"), combinations(TABLE, 2))
+@pytest.mark.parametrize(("one", "two"), list(combinations(TABLE, 2)))
 def test_of_two_inputs_the_least_trusted_gives_the_label(one: str, two: str) -> None:
     expected = max(TABLE[one], TABLE[two], key=LADDER.index)
     for order in ((one, two), (two, one)):
@@ -183,7 +185,16 @@ def test_a_mention_in_any_case_and_spacing_is_found(text: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "Station", "101", "Station 1011", "xStation 101", "Station 10", "Station_101", "Station 102"],
+    [
+        "",
+        "Station",
+        "101",
+        "Station 1011",
+        "xStation 101",
+        "Station 10",
+        "Station_101",
+        "Station 102",
+    ],
 )
 def test_what_is_no_whole_name_is_no_mention(text: str) -> None:
     context = ledger()

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.normalize.dialogue import WRITERS, as_calls, as_json, as_openai
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.parse import MAX_CALLS
+from unit.normalize.dialogue import WRITERS, as_calls, as_json, as_openai
 
 GO = ("go", {"to": "Dock", "speed": 1})
 ARGUMENTS = "choices[0].message.tool_calls[0].function.arguments"
@@ -291,14 +291,28 @@ def test_choices_in_a_plan_make_it_a_reply_and_nothing_else_does() -> None:
 # -- anything at all -------------------------------------------------------------------------------
 
 scraps = st.recursive(
-    st.none() | st.booleans() | st.integers(-3, 3) | st.sampled_from(["go", "stop", "function", "{}"]),
-    lambda inner: st.lists(inner, max_size=2)
-    | st.dictionaries(
-        st.sampled_from(
-            ["plan", "tool", "arguments", "choices", "message", "tool_calls", "function", "name"]
-        ),
-        inner,
-        max_size=3,
+    st.none()
+    | st.booleans()
+    | st.integers(-3, 3)
+    | st.sampled_from(["go", "stop", "function", "{}"]),
+    lambda inner: (
+        st.lists(inner, max_size=2)
+        | st.dictionaries(
+            st.sampled_from(
+                [
+                    "plan",
+                    "tool",
+                    "arguments",
+                    "choices",
+                    "message",
+                    "tool_calls",
+                    "function",
+                    "name",
+                ]
+            ),
+            inner,
+            max_size=3,
+        )
     ),
     max_leaves=12,
 )

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import worlds
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unit.normalize.dialogue import WRITERS, as_json, as_openai, binder, read, refused
 
+import worlds
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.parse import MAX_TEXT
+from unit.normalize.dialogue import WRITERS, as_json, as_openai, binder, read, refused
 
 REPLIES = sorted((worlds.HOSPITAL / "replies").iterdir())
 GO = ("navigate_to", {"destination": "Dock"})
@@ -75,12 +75,12 @@ def test_the_evidence_is_of_the_exact_bytes_also_where_they_mean_the_same() -> N
 CODE = [
     '__import__("os").system("touch {path}")',
     "__import__('os').system('touch {path}')",
-    'eval("open(\'{path}\', \'w\')")',
+    "eval(\"open('{path}', 'w')\")",
     "exec(\"open('{path}', 'w')\")",
     "open('{path}', 'w')",
     "navigate_to(destination=open('{path}', 'w'))",
     "navigate_to(destination=__import__('os').system('touch {path}'))",
-    "navigate_to(destination=f'{{open(\"{path}\", \"w\")}}')",
+    'navigate_to(destination=f\'{{open("{path}", "w")}}\')',
     "navigate_to(speed=(lambda: open('{path}', 'w'))())",
     "navigate_to(destination='Dock'); import os; os.system('touch {path}')",
     "navigate_to(destination='Dock') or open('{path}', 'w')",
@@ -99,7 +99,9 @@ CODE = [
 
 @pytest.mark.parametrize("code", CODE)
 @pytest.mark.parametrize("dialect", Dialect)
-def test_code_is_refused_and_nothing_of_it_runs(code: str, dialect: Dialect, tmp_path: Path) -> None:
+def test_code_is_refused_and_nothing_of_it_runs(
+    code: str, dialect: Dialect, tmp_path: Path
+) -> None:
     target = tmp_path / "run"
     with pytest.raises(MalformedError):
         read(code.format(path=target), dialect)
@@ -126,9 +128,11 @@ FLOODS: dict[str, bytes] = {
     "a megabyte of calls": b"scan()\n" * (1 << 20 >> 3),
     "10,000 deep, lists": b"[" * 10_000 + b"]" * 10_000,
     "10,000 deep, objects": b'{"plan":' * 10_000 + b"1" + b"}" * 10_000,
-    "10,000 deep, arguments": as_openai().replace('"tool_calls": []', '"tool_calls": ' + "[" * 10_000).encode(),
+    "10,000 deep, arguments": as_openai()
+    .replace('"tool_calls": []', '"tool_calls": ' + "[" * 10_000)
+    .encode(),
     "10,000 calls": b"scan()\n" * 10_000,
-    "10,000 calls as JSON": json.dumps([{"tool": "scan", "arguments": {}}] * 5_000).encode(),
+    "5,000 calls as JSON": json.dumps([{"tool": "scan", "arguments": {}}] * 5_000).encode(),
     "brackets to the limit": b"[" * MAX_TEXT,
     "quotes to the limit": b'"' * MAX_TEXT,
     "an open string to the limit": b'["' + b"a" * (MAX_TEXT - 2),
@@ -194,8 +198,10 @@ scalars = (
 )
 trees = st.recursive(
     scalars,
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(words | st.text(max_size=3), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(words | st.text(max_size=3), inner, max_size=3)
+    ),
     max_leaves=15,
 )
 arguments = st.dictionaries(words | st.text(max_size=3), trees, max_size=4)
@@ -222,7 +228,7 @@ def test_no_arguments_raise_anything_but_malformed(
     answers_or_refuses(text.encode("utf-8", "surrogatepass"), dialect)
 
 
-@FUZZ
+@settings(FUZZ, derandomize=True)
 @given(st.data())
 def test_no_change_of_a_good_reply_raises_anything_but_malformed(data: st.DataObject) -> None:
     good = data.draw(st.sampled_from([path.read_bytes() for path in REPLIES]))

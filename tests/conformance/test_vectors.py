@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The published vectors hold for the gate and for the oracle, and every reason has its pair."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
+
+import authguard_reference as oracle
+import worlds
+from authguard_r.core.action import Action
+from authguard_r.core.approval import VerifiedApproval
+from authguard_r.core.decide import decide
+from authguard_r.core.encoding import Tag, decode, digest, encode_fast
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.facts import ActionKind, ParameterKind, RegionFacts, RobotFacts, SiteFacts
+from authguard_r.core.geometry import polygon
+from authguard_r.core.mission import Mission
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import PROTECTED
+from authguard_r.core.standing import Standing
+from authguard_r.core.state import Snapshot, attest
+from authguard_r.core.token import Principal, index_mission, verify_mission
+from authguard_r.keys.ed25519 import require_sound
+from authguard_r.keys.revocation import read_list
+from authguard_r.keys.trust import Trust
+from authguard_r.normalize import Binder, normalize
+
+VECTORS = worlds.ROOT / "vectors"
+
+
+def load(name: str) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((VECTORS / name).read_text())
+    return content
+
+
+GATE = load("gate.json")
+
+
+def facts_from(plain: dict[str, Any]) -> SiteFacts:
+    """Read facts from the specification's shape."""
+    robot = plain["robot"]
+    return SiteFacts(
+        digest=plain["digest"],
+        robot=RobotFacts(
+            rid=robot["rid"],
+            profile=robot["profile"],
+            tools={kind: frozenset(tools) for kind, tools in robot["tools"].items()},
+        ),
+        regions={
+            name: RegionFacts(
+                polygon(r["map"], r["floor"], tuple(tuple(p) for p in r["points"])),
+                frozenset(r["tags"]),
+            )
+            for name, r in plain["regions"].items()
+        },
+        objects=plain["objects"],
+        vocabulary={
+            name: ActionKind(
+                fields=frozenset(kind["fields"]),
+                params={p: msgspec.convert(v, ParameterKind) for p, v in kind["params"].items()},
+                **{k: v for k, v in kind.items() if k not in {"fields", "params"}},
+            )
+            for name, kind in plain["vocabulary"].items()
+        },
+    )
+
+
+@pytest.mark.parametrize("vector", GATE["vectors"], ids=lambda v: f"{v['reason']} {v['kind']}")
+def test_the_gate_gives_the_published_answer(vector: dict[str, Any]) -> None:
+    given, expect = vector["input"], vector["expect"]
+    facts = facts_from(given.get("facts", GATE["facts"]))
+    mission = msgspec.convert(given["mission"], Mission)
+    issuer = Principal(id=mission.issuer, role="operator", usable_until_ms=given["usable_until_ms"])
+    state = None
+    if given["state"] is not None:
+        snapshot = msgspec.convert(given["state"]["snapshot"], Snapshot)
+        state = attest(snapshot, facts, arrived_mono_ms=given["state"]["arrived_mono_ms"])
+    standing = given["standing"]
+    decision = decide(
+        index_mission(mission, given["digest"], issuer),
+        msgspec.convert(given["action"], Action),
+        state=state,
+        facts=facts,
+        now=msgspec.convert(given["now"], Now),
+        standing=None if standing is None else msgspec.convert(standing, Standing),
+        approvals=tuple(msgspec.convert(a, VerifiedApproval) for a in given["approvals"]),
+    )
+    assert str(decision.verdict) == expect["verdict"]
+    assert [str(reason) for reason in decision.reasons] == expect["reasons"]
+    if decision.match is not None:
+        assert decision.match.indexed.grant.id == expect["grant"]
+
+
+@pytest.mark.parametrize("vector", GATE["vectors"], ids=lambda v: f"{v['reason']} {v['kind']}")
+def test_the_oracle_gives_the_published_answer(vector: dict[str, Any]) -> None:
+    given = dict(vector["input"])
+    facts = given.pop("facts", GATE["facts"])
+    verdict = oracle.decide(given.pop("mission"), facts=facts, **given)
+    assert {name: verdict[name] for name in vector["expect"]} == vector["expect"]
+
+
+def test_every_reason_of_the_gate_has_a_vector_alone_and_a_near_miss() -> None:
+    pairs = {(vector["reason"], vector["kind"]) for vector in GATE["vectors"]}
+    assert pairs == {(str(r), kind) for r in PROTECTED for kind in ("alone", "near miss")}
+
+
+def test_every_accepted_encoding_is_byte_exact() -> None:
+    for vector in load("encoding.json")["accepted"]:
+        data = encode_fast(vector["value"])
+        assert data.decode() == vector["canonical"]
+        assert digest(Tag(vector["tag"]), data) == vector["digest"]
+
+
+def test_every_other_encoding_is_refused() -> None:
+    for vector in load("encoding.json")["refused"]:
+        with pytest.raises(MalformedError):
+            decode(vector["text"].encode(), Mission)
+
+
+def test_every_planner_text_means_what_is_published() -> None:
+    binder = Binder(worlds.site(), worlds.binding())
+    for vector in load("normalize.json")["vectors"]:
+        try:
+            plan = normalize(vector["raw"].encode(), binder=binder)
+            got: Any = {
+                "actions": [json.loads(msgspec.json.encode(step.action)) for step in plan.steps]
+            }
+        except MalformedError as error:
+            got = {"refusal": {"reason": str(error.reason), "where": error.where}}
+        assert got == vector["expect"], vector["name"]
+
+
+def test_every_token_is_taken_or_refused_as_published() -> None:
+    content = load("token.json")
+    root = x509.load_pem_x509_certificate(content["root"].encode())
+    lists = {}
+    for name, pem in [("root", content["root"]), *content["authorities"].items()]:
+        cert = x509.load_pem_x509_certificate(pem.encode())
+        key = require_sound(cert.public_key(), where=name)
+        data = content["revocations"][name].encode()
+        lists[cert.public_bytes(Encoding.DER)] = read_list(data, authority=name, key=key)
+    trust, now = Trust(root, lists), Now(content["now_ms"], 0)
+    for vector in content["vectors"]:
+        try:
+            verify_mission(
+                vector["token"].encode(), verifier=trust, now=now, roles=frozenset(content["roles"])
+            )
+            got = "ok"
+        except AuthGuardError as error:
+            got = str(error.reason)
+        assert got == vector["expect"], vector["name"]
+
+
+def test_the_vectors_are_what_the_generator_writes_save_for_fresh_keys(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    script = (
+        (VECTORS / "generate.py")
+        .read_text()
+        .replace('ROOT / "vectors" / name', f'Path("{tmp_path}") / name')
+    )
+    patched = tmp_path / "generate.py"
+    patched.write_text(
+        script.replace("Path(__file__).resolve().parent.parent", f'Path("{worlds.ROOT}")')
+    )
+    subprocess.run([sys.executable, str(patched)], check=True)
+    for name in ("encoding.json", "gate.json", "normalize.json"):
+        assert (tmp_path / name).read_text() == (VECTORS / name).read_text(), name

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The site's digests, and the facts that a decision reads for one robot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.core.encoding import Tag, decode, digest, encode
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.geometry import polygon
+from authguard_r.core.reasons import Reason
+from authguard_r.site.model import ActionModel, Site, facts_of, profile_digest, site_digest
+
+replace = msgspec.structs.replace
+FLAGS = ("moves", "waits", "records", "stores", "transmits", "state_writing")
+
+
+def profile(rid: str = "courier-1") -> str:
+    return profile_digest(worlds.site().robots[rid].profile)
+
+
+# -- digests ---------------------------------------------------------------------------------------
+
+
+def test_the_site_s_digest_is_that_of_its_canonical_bytes() -> None:
+    assert site_digest(worlds.site()) == digest(Tag.SITE, encode(worlds.site()))
+    assert decode(encode(worlds.site()), Site) == worlds.site()
+
+
+def test_a_site_says_its_digest_only_as_long_as_nothing_in_it_changes() -> None:
+    """A word means at execution what it meant when it was signed."""
+    site = worlds.site()
+    dock = site.regions["dock"]
+    changed = [
+        replace(site, version=2),
+        replace(site, doors=site.doors[1:]),
+        replace(site, regions={**site.regions, "dock": replace(dock, floor=2)}),
+        replace(site, regions={**site.regions, "dock": replace(dock, names=("Dock",))}),
+        replace(site, regions={**site.regions, "dock": replace(dock, tags=("public",))}),
+    ]
+    assert len({site_digest(one) for one in (site, *changed)}) == len(changed) + 1
+
+
+def test_two_robots_have_two_profiles_and_a_profile_is_no_site() -> None:
+    assert profile("courier-1") != profile("lifter-1")
+    shared = worlds.site().robots["courier-1"].profile
+    assert profile_digest(shared) == digest(Tag.PROFILE, encode(shared))
+    assert profile_digest(shared) != digest(Tag.SITE, encode(shared))
+
+
+def test_a_profile_that_can_do_one_thing_more_is_another_profile() -> None:
+    base = worlds.site().robots["courier-1"].profile
+    stronger = [
+        replace(base, max_speed_mm_s=base.max_speed_mm_s + 1),
+        replace(base, max_force_mn=base.max_force_mn + 1),
+        replace(base, max_payload_g=base.max_payload_g + 1),
+        replace(base, tools={**base.tools, "navigate": ("base", "wheels")}),
+    ]
+    assert len({profile_digest(one) for one in (base, *stronger)}) == 5
+
+
+def test_a_field_that_the_model_does_not_have_is_refused() -> None:
+    data = encode(worlds.site())
+    with pytest.raises(MalformedError) as caught:
+        decode(data.replace(b'"doors":', b'"door":[],"doors":', 1), Site)
+    assert caught.value.reason is Reason.MALFORMED
+
+
+# -- facts -----------------------------------------------------------------------------------------
+
+
+def test_the_facts_are_the_site_s_own_words_for_one_robot() -> None:
+    site = worlds.site()
+    facts = facts_of(site, rid="courier-1", profile=profile())
+    assert facts.digest == site_digest(site)
+    assert (facts.robot.rid, facts.robot.profile) == ("courier-1", profile())
+    assert facts.robot.tools["navigate"] == {"base"}
+    assert set(facts.robot.tools) == set(site.robots["courier-1"].profile.tools)
+    assert facts.objects == {
+        "package-p1": "medicine",
+        "package-p2": "medicine",
+        "sharps-bin": "hazardous",
+    }
+    for name, region in site.regions.items():
+        assert facts.regions[name].area == polygon(region.map, region.floor, region.points)
+        assert facts.regions[name].tags == set(region.tags)
+    assert set(facts.regions) == set(site.regions)
+    assert set(facts.vocabulary) == set(site.vocabulary)
+    speed = facts.vocabulary["navigate"].params["speed_mm_s"]
+    assert (speed.low, speed.high, speed.required, speed.monitored_by) == (
+        1,
+        3000,
+        True,
+        "speed_mm_s",
+    )
+
+
+def test_another_robot_has_other_facts() -> None:
+    facts = facts_of(worlds.site(), rid="lifter-1", profile=profile("lifter-1"))
+    assert facts.robot.rid == "lifter-1"
+    assert "take_photo" not in facts.robot.tools
+
+
+@pytest.mark.parametrize(
+    ("rid", "digest"),
+    [
+        ("courier-2", profile()),
+        ("Courier-1", profile()),
+        ("", profile()),
+        ("lifter-1", profile("courier-1")),
+        ("courier-1", profile("lifter-1")),
+        ("courier-1", "A" * 43),
+        ("courier-1", ""),
+    ],
+    ids=["unknown", "case", "empty", "other's profile", "profile of another", "zeros", "none"],
+)
+def test_a_robot_or_profile_that_the_site_does_not_know_has_no_facts(rid: str, digest: str) -> None:
+    """A gate's certificate names both; a site that knows another robot is the wrong site."""
+    with pytest.raises(EnvironmentFault) as caught:
+        facts_of(worlds.site(), rid=rid, profile=digest)
+    assert caught.value.reason is Reason.PROFILE_MISMATCH
+    assert caught.value.where == f"robots.{rid}"
+    assert "hospital-floor-1" in caught.value.message
+
+
+def test_a_robot_whose_profile_changed_has_no_facts_under_its_old_certificate() -> None:
+    site = worlds.site()
+    robot = site.robots["courier-1"]
+    faster = replace(robot, profile=replace(robot.profile, max_speed_mm_s=9999))
+    changed = replace(site, robots={**site.robots, "courier-1": faster})
+    with pytest.raises(EnvironmentFault):
+        facts_of(changed, rid="courier-1", profile=profile())
+    assert facts_of(changed, rid="courier-1", profile=profile_digest(faster.profile))
+
+
+@pytest.mark.parametrize("flag", FLAGS)
+def test_each_flag_of_an_action_type_reaches_the_decision_alone(flag: str) -> None:
+    """A flag that were dropped here would switch its check off."""
+    fields: dict[str, Any] = {flag: True}
+    site = worlds.site()
+    vocabulary = {**site.vocabulary, "odd": ActionModel(fields=("source",), privacy=3, **fields)}
+    facts = facts_of(replace(site, vocabulary=vocabulary), rid="courier-1", profile=profile())
+    found = facts.vocabulary["odd"]
+    assert {name: getattr(found, name) for name in FLAGS} == {n: n == flag for n in FLAGS}
+    assert (found.fields, found.privacy, found.params) == ({"source"}, 3, {})
+
+
+def test_an_action_type_says_nothing_that_it_was_not_told() -> None:
+    bare = ActionModel(fields=())
+    assert not any(getattr(bare, flag) for flag in FLAGS)
+    assert (bare.privacy, bare.params) == (0, {})

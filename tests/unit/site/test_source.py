@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Strict YAML: what people write is what is meant, or it is refused with its place."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import worlds
+from authguard_r.core.encoding import MAX_BYTES
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.mission import Row
+from authguard_r.core.reasons import Reason
+from authguard_r.site.model import Parameter, Site
+from authguard_r.site.source import convert, read_site, read_text, read_yaml
+
+SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
+
+
+def refused(text: str) -> str:
+    with pytest.raises(MalformedError) as caught:
+        read_yaml(text, where="site.yaml")
+    assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, "site.yaml")
+    return caught.value.message
+
+
+def yaml(text: str) -> Any:
+    return read_yaml(text, where="site.yaml")
+
+
+# -- words that only look like values --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        "no", "No", "NO", "yes", "Yes", "on", "On", "off", "OFF", "y", "n", "Y", "N",
+        "True", "TRUE", "False", "FALSE",
+        "2026-01-31", "2026-01-31T14:30:00Z", "2026-01-31 14:30:00",
+        "1e3", "1E3", "infinity", "nan", "NaN", "null-1", "~x", "0.8 m/s", "14:30 h", "P1",
+    ],
+)  # fmt: skip
+def test_a_word_of_the_site_stays_a_word(word: str) -> None:
+    """`no` is a country, `on` a place, a date a label; none is a truth value or an instant."""
+    assert yaml(f"a: {word}") == {"a": word}
+    assert yaml(f"{word}: a") == {word: "a"}
+    assert yaml(f"[{word}]") == [word]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("true", True),
+        ("false", False),
+        ("null", None),
+        ("~", None),
+        ("", None),
+        ("0", 0),
+        ("-12", -12),
+        ("0.5", 0.5),
+        ('"true"', "true"),
+        ("'12'", "12"),
+        ('"no"', "no"),
+    ],
+)
+def test_a_value_is_the_one_that_stands_there(text: str, value: Any) -> None:
+    found = yaml(f"a: {text}")
+    assert found == {"a": value}
+    assert type(found["a"]) is type(value)
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: 1\na: 1",
+        "a: 1\nb: 2\na: 3",
+        "{a: 1, a: 2}",
+        "x:\n  - {a: {b: 1, b: 2}}",
+        '"a": 1\na: 2',
+        "1: a\n1: b",
+        "true: a\n1: b",
+        "? a\n: 1\n? a\n: 2",
+    ],
+)
+def test_a_key_twice_is_refused_at_any_depth(text: str) -> None:
+    assert "duplicate key" in refused(text)
+
+
+def test_the_same_key_in_two_mappings_is_two_keys() -> None:
+    assert yaml("[{a: 1}, {a: 2}]") == [{"a": 1}, {"a": 2}]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: &x [1]\nb: *x",
+        "a: &x 1\nb: {c: *x}",
+        "&x a: 1\n*x : 2",
+        "a: &x [*x]",
+        "a: &a [l]\nb: &b [*a, *a]\nc: &c [*b, *b]\nd: [*c, *c]",
+    ],
+    ids=["alias", "nested", "as a key", "in itself", "a billion laughs"],
+)
+def test_an_alias_is_refused(text: str) -> None:
+    """One place says one thing; and a few lines cannot mean a billion."""
+    assert "aliases are not allowed" in refused(text)
+
+
+@pytest.mark.parametrize("text", ["{<<: {a: 1}}", "a: {b: 1, <<: {b: 2}}", "<<: [{a: 1}]"])
+def test_a_merge_is_refused(text: str) -> None:
+    refused(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "!!python/object/apply:os.system ['true']",
+        "!!python/name:os.system",
+        "!!python/tuple [1]",
+        "!!python/object/new:os.system ['true']",
+        "a: !mine 1",
+        "a: !!unknown 1",
+    ],
+)
+def test_a_tag_of_a_program_is_refused(text: str) -> None:
+    refused(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ta: 1",
+        "a:\n\tb: 1",
+        "a: [1,\t2]\n\tb: 1",
+        "a: 1\n b: 2",
+        "a: [1",
+        "a: {b: 1",
+        "a: 'b",
+        'a: "\\x"',
+        "a: b: c",
+        "a: @b",
+        "a: `b`",
+        "%YAML 3.0\n---\na: 1",
+        "a: 1\n---\nb: 2",
+        "a: \0",
+        "a: \x07",
+        "a: \ud800",
+        "? [a]\n: b",
+        "? {a: 1}\n: b",
+        "a: =",
+        "9" * 5000,
+    ],
+)
+def test_broken_yaml_is_refused(text: str) -> None:
+    refused(text)
+
+
+def test_the_message_says_the_line() -> None:
+    assert "line 3" in refused("a: 1\nb: 2\nc: [}\n")
+
+
+@pytest.mark.parametrize("text", ["[" * 10_000, "- " * 10_000, "{a: " * 10_000])
+def test_nesting_that_would_overflow_the_stack_is_refused(text: str) -> None:
+    start = time.process_time()
+    refused(text)
+    assert time.process_time() - start < 5
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet="ab01:-,[]{}#'\"&*|>%@\n\t \\.~?", max_size=40))
+def test_no_text_without_tags_raises_anything_but_malformed(text: str) -> None:
+    try:
+        yaml(text)
+    except MalformedError as error:
+        assert error.where == "site.yaml"
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+def test_a_file_that_cannot_be_read_says_which_and_why(tmp_path: Path) -> None:
+    for path in (tmp_path / "nothing.yaml", tmp_path):
+        with pytest.raises(EnvironmentFault) as caught:
+            read_text(path)
+        assert caught.value.reason is Reason.STORE_UNAVAILABLE
+        assert caught.value.where == str(path)
+        assert str(path) in caught.value.message
+
+
+@pytest.mark.parametrize("data", [b"\xff", b"a: \xe9", "a: 1".encode("utf-16"), b"a: \xed\xa0\x80"])
+def test_a_file_that_is_no_utf_8_is_refused(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_bytes(data)
+    with pytest.raises(MalformedError) as caught:
+        read_text(path)
+    assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, str(path))
+
+
+def test_the_longest_file_is_read_and_one_byte_more_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_bytes(b"#" * MAX_BYTES)
+    assert len(read_text(path)) == MAX_BYTES
+    path.write_bytes(b"#" * (MAX_BYTES + 1))
+    with pytest.raises(MalformedError) as caught:
+        read_text(path)
+    assert caught.value.where == str(path)
+
+
+# -- held to a struct ------------------------------------------------------------------------------
+
+SPEED = {"unit": "mm/s", "low": 1, "high": 3000, "rounding": "limit", "required": True}
+
+
+def test_data_that_fits_is_the_struct() -> None:
+    assert convert(SPEED, Parameter, where="x").high == 3000
+    assert convert({}, Row, where="x") == Row()
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"low": 1.0}, "x:low"),
+        ({"low": 0.5}, "x:low"),
+        ({"low": float("nan")}, "x:low"),
+        ({"low": float("inf")}, "x:low"),
+        ({"low": True}, "x:low"),
+        ({"low": "1"}, "x:low"),
+        ({"low": None}, "x:low"),
+        ({"low": [1]}, "x:low"),
+        ({"low": 2**53}, "x:low"),
+        ({"high": -(2**53)}, "x:high"),
+        ({"required": 1}, "x:required"),
+        ({"required": "true"}, "x:required"),
+        ({"required": "no"}, "x:required"),
+        ({"rounding": "up"}, "x:rounding"),
+        ({"rounding": "Limit"}, "x:rounding"),
+        ({"unit": 5}, "x:unit"),
+        ({"monitored_by": "Speed"}, "x:monitored_by"),
+        ({"monitored_by": "a" * 65}, "x:monitored_by"),
+        ({"lower": 1}, "x"),
+        ({"Low": 1}, "x"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_in_its_place(
+    changes: dict[str, Any], where: str
+) -> None:
+    with pytest.raises(MalformedError) as caught:
+        convert({**SPEED, **changes}, Parameter, where="x")
+    assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, where)
+
+
+@pytest.mark.parametrize("missing", SPEED)
+def test_a_missing_field_is_refused(missing: str) -> None:
+    less = {name: value for name, value in SPEED.items() if name != missing}
+    with pytest.raises(MalformedError) as caught:
+        convert(less, Parameter, where="x")
+    assert f"`{missing}`" in caught.value.message
+
+
+@pytest.mark.parametrize("data", [None, [], "site", 1, True])
+def test_data_of_another_shape_is_refused(data: Any) -> None:
+    with pytest.raises(MalformedError) as caught:
+        convert(data, Site, where="x")
+    assert caught.value.where == "x"
+
+
+# -- a whole site ----------------------------------------------------------------------------------
+
+
+def site_file(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the shipped site with each text that stands there once replaced."""
+    text = SITE
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    path = folder / "site.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_shipped_site_is_read(tmp_path: Path) -> None:
+    assert read_site(site_file(tmp_path)) == worlds.site()
+
+
+def test_the_order_in_which_a_person_writes_does_not_matter(tmp_path: Path) -> None:
+    path = site_file(tmp_path, ("version: 1\n", ""), ("schema: ", "version: 1\nschema: "))
+    assert read_site(path) == worlds.site()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("version: 1\n", "version: 1.0\n", ":version"),
+        ("version: 1\n", "version: one\n", ":version"),
+        ("version: 1\n", "version: yes\n", ":version"),
+        ("version: 1\n", "version: true\n", ":version"),
+        ("version: 1\n", "version: 2026-01-31\n", ":version"),
+        ("version: 1\n", "version: -1\n", ":version"),
+        ("version: 1\n", "version: 1\nowner: me\n", ""),
+        ("version: 1\n", "", ""),
+        ("id: hospital-floor-1\n", "id: Hospital Floor 1\n", ":id"),
+        ("id: hospital-floor-1\n", "id: 1\n", ":id"),
+        ("authguard-r/site/1", "authguard-r/site/2", ":schema"),
+        ("approach: [36000, 1500]", "approach: [36000.0, 1500]", ":regions[...].approach[0]"),
+        ("approach: [36000, 1500]", "approach: [36000]", ":regions[...].approach"),
+        ("approach: [36000, 1500]", "approach: 36000", ":regions[...].approach"),
+        ("names: [Sharps Bin]", "names: [101]", ":objects[...].names[0]"),
+        ("names: [Sharps Bin]", "names: Sharps Bin", ":objects[...].names"),
+        ("names: [Sharps Bin]", "names: [~]", ":objects[...].names[0]"),
+        ("mass_g: 1500", "mass_g: 1.5 kg", ":objects[...].mass_g"),
+        ("mass_g: 1500", "mass_g: -1", ":objects[...].mass_g"),
+        ("fields: [object, source]", "fields: [object, sources]", ":vocabulary[...].fields[1]"),
+        ("privacy: 3", "privacy: 4", ":vocabulary[...].privacy"),
+    ],
+)
+def test_a_site_file_with_one_fault_is_refused_in_its_place(
+    tmp_path: Path, old: str, new: str, where: str
+) -> None:
+    path = site_file(tmp_path, (old, new))
+    with pytest.raises(MalformedError) as caught:
+        read_site(path)
+    assert caught.value.reason is Reason.MALFORMED
+    assert caught.value.where.startswith(f"{path}{where}")
+
+
+def test_a_site_with_a_fault_of_meaning_is_refused_and_says_how_many_more(tmp_path: Path) -> None:
+    one = ("home: station-102", "home: cellar")
+    path = site_file(tmp_path, one)
+    with pytest.raises(MalformedError) as caught:
+        read_site(path)
+    assert caught.value.where == f"{path}:objects.sharps-bin.home"
+    assert "more" not in caught.value.message
+    path = site_file(tmp_path, one, ("tags: [hazardous]", "tags: [z, a]"))
+    with pytest.raises(MalformedError) as caught:
+        read_site(path)
+    assert caught.value.where == f"{path}:regions.plant-room.tags"
+    assert "1 more" in caught.value.message
+
+
+def test_a_duplicate_region_is_refused_before_one_hides_the_other(tmp_path: Path) -> None:
+    """The attack: a second `dock` further down, where no reviewer looks."""
+    path = site_file(tmp_path, ("doors:\n", "  dock: {map: main}\ndoors:\n"))
+    with pytest.raises(MalformedError) as caught:
+        read_site(path)
+    assert "duplicate key `dock`" in caught.value.message
+    assert caught.value.where == str(path)
