@@ -273,10 +273,12 @@ def test_every_accepted_byte_string_is_the_encoding_of_what_it_says(data: st.Dat
     try:
         found = decode(changed, Mission, where="x")
     except MalformedError as error:
-        assert error.reason in {Reason.MALFORMED, Reason.NOT_CANONICAL}
-        assert error.where.startswith("x")
+        refusal = error
     else:
         assert encode(found) == changed
+        return
+    assert refusal.reason in {Reason.MALFORMED, Reason.NOT_CANONICAL}
+    assert refusal.where.startswith("x")
 
 
 @LAW
@@ -479,9 +481,11 @@ def test_base64url_has_one_spelling_for_every_byte_string(text: str) -> None:
     try:
         data = unb64(text, where="x")
     except MalformedError as error:
-        assert error.where == "x"
+        refusal = error
     else:
         assert b64(data) == text
+        return
+    assert refusal.where == "x"
 
 
 @pytest.mark.parametrize(

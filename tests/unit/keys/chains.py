@@ -83,6 +83,11 @@ def eku(*roles: Role) -> x509.ExtendedKeyUsage:
     return x509.ExtendedKeyUsage([OIDS[role] for role in roles])
 
 
+SIGNS: Extra = (usage(signs=True, certifies=False), True)
+CERTIFIES: Extra = (usage(signs=False, certifies=True), True)
+OPERATES: Extra = (eku(Role.OPERATOR), True)
+
+
 def san(*uris: str) -> x509.SubjectAlternativeName:
     return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri) for uri in uris])
 
@@ -159,7 +164,7 @@ def authority(
     end: datetime = TODAY + timedelta(days=30),
     serial: int | None = None,
     basic: Extra | None = (AUTHORITY_BASIC, True),
-    use: Extra | None = (usage(signs=False, certifies=True), True),
+    use: Extra | None = CERTIFIES,
     role: Extra | None = None,
     extra: tuple[Extra, ...] = (),
     issuer_name: str | None = None,
@@ -198,8 +203,8 @@ def leaf(
     end: datetime = TODAY + timedelta(days=30),
     serial: int | None = None,
     basic: Extra | None = (LEAF_BASIC, True),
-    use: Extra | None = (usage(signs=True, certifies=False), True),
-    role: Extra | None = (eku(Role.OPERATOR), True),
+    use: Extra | None = SIGNS,
+    role: Extra | None = OPERATES,
     names: Extra | str | None = "",
     extra: tuple[Extra, ...] = (),
     issuer_name: str | None = None,

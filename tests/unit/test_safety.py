@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The safety gate: one test for each rule both ways, and its independence from the mission."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.core.action import Action
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.quantities import Now
+from authguard_r.core.state import AttestedState
+from authguard_r.core.token import sign_object
+from authguard_r.keys.trust import read_trust
+from authguard_r.safety import EnvelopeGate, default_config, open_config
+from authguard_r.sim.robot import snapshot_of
+
+CONFIG = default_config(worlds.site(), worlds.RID)
+
+
+def assess(action: Action, state: AttestedState | None = None, **config: Any) -> list[str]:
+    gate = EnvelopeGate(msgspec.structs.replace(CONFIG, **config))
+    decision = gate.assess(action, state or worlds.state(), worlds.facts(), worlds.NOW)
+    assert decision.safe == (not decision.findings)
+    return [str(finding.hazard) for finding in decision.findings]
+
+
+def near(distance_mm: int) -> AttestedState:
+    world = msgspec.structs.replace(worlds.world(), human_distance_mm=distance_mm)
+    return worlds.attested(snapshot_of(world, robot=worlds.RID, epoch=1, seq=1))
+
+
+def grip(kind: str = "pick", force: int = 12_000, item: str = "package-p1") -> Action:
+    return Action(type=kind, tool="gripper", object=item, source="dock", params={"force_mn": force})
+
+
+@pytest.mark.parametrize(("speed", "hazards"), [(1_500, []), (1_501, ["SPEED"])])
+def test_speed_up_to_the_envelope(speed: int, hazards: list[str]) -> None:
+    assert assess(worlds.navigate("dock", "pharmacy", speed=speed)) == hazards
+
+
+def test_a_motion_that_does_not_say_how_fast_is_unsafe() -> None:
+    assert assess(worlds.navigate("dock", "pharmacy", params={})) == ["SPEED"]
+
+
+@pytest.mark.parametrize(("force", "hazards"), [(40_000, []), (40_001, ["FORCE"])])
+def test_force_up_to_the_envelope(force: int, hazards: list[str]) -> None:
+    assert assess(grip(force=force)) == hazards
+
+
+@pytest.mark.parametrize(("most", "hazards"), [(800, []), (799, ["PAYLOAD"])])
+def test_payload_up_to_the_envelope(most: int, hazards: list[str]) -> None:
+    assert assess(grip(), max_payload_g=most) == hazards
+
+
+def test_an_object_of_unknown_mass_is_not_lifted() -> None:
+    assert assess(grip(), masses_g={}) == ["PAYLOAD"]
+
+
+@pytest.mark.parametrize(("goal", "hazards"), [("office-1", []), ("plant-room", ["KEEP_OUT"])])
+def test_keep_out_regions_are_not_entered(goal: str, hazards: list[str]) -> None:
+    assert assess(worlds.navigate("dock", goal)) == hazards
+
+
+def test_keep_out_regions_are_not_passed() -> None:
+    way = worlds.navigate("dock", "pharmacy", route=("plant-room",))
+    assert assess(way) == ["KEEP_OUT"]
+
+
+@pytest.mark.parametrize(
+    ("distance", "speed", "hazards"),
+    [(1_201, 301, []), (1_200, 300, []), (1_200, 301, ["HUMAN_PROXIMITY"])],
+)
+def test_near_people_the_robot_is_slow(distance: int, speed: int, hazards: list[str]) -> None:
+    assert assess(worlds.navigate("dock", "pharmacy", speed=speed), near(distance)) == hazards
+
+
+def test_an_unknown_distance_to_people_is_no_distance() -> None:
+    state = worlds.state()
+    blind = msgspec.structs.replace(state.snapshot, readings={})
+    assert assess(worlds.navigate("dock", "pharmacy"), worlds.attested(blind)) == ["STATE_UNKNOWN"]
+
+
+@pytest.mark.parametrize("change", [{"label": "camera"}, {"age_ms": 1_001}])
+def test_an_untrusted_or_old_distance_is_no_distance(change: dict[str, Any]) -> None:
+    snapshot = worlds.state().snapshot
+    seen = msgspec.structs.replace(snapshot.readings["human_distance_mm"], **change)
+    snapshot = msgspec.structs.replace(
+        snapshot, readings={**snapshot.readings, "human_distance_mm": seen}
+    )
+    state = worlds.attested(snapshot)
+    assert assess(worlds.navigate("dock", "pharmacy"), state) == ["STATE_UNKNOWN"]
+
+
+def test_another_robots_state_is_no_state() -> None:
+    state = worlds.state(rid=worlds.OTHER)
+    assert assess(worlds.navigate("dock", "pharmacy"), state) == ["STATE_UNKNOWN"]
+
+
+def test_nothing_is_picked_with_a_full_gripper_or_placed_from_an_empty_one() -> None:
+    full, empty = worlds.state(holding="package-p1"), worlds.state()
+    assert assess(grip("pick"), full) == ["NOT_EXECUTABLE"]
+    assert assess(grip("pick"), empty) == []
+    assert assess(grip("place"), full) == []
+    assert assess(grip("place"), empty) == ["NOT_EXECUTABLE"]
+    assert assess(grip("place", item="package-p2"), full) == ["NOT_EXECUTABLE"]
+
+
+def test_an_unknown_type_or_another_robots_profile_is_unsafe() -> None:
+    assert assess(Action(type="dance", tool="base")) == ["STATE_UNKNOWN"]
+    assert assess(worlds.navigate("dock", "pharmacy"), profile="A" * 43) == ["STATE_UNKNOWN"]
+
+
+def test_a_repair_slows_down_and_changes_nothing_else() -> None:
+    action = worlds.navigate("dock", "pharmacy", speed=2_000)
+    decision = EnvelopeGate(CONFIG).assess(action, near(500), worlds.facts(), worlds.NOW)
+    assert decision.repair is not None
+    assert decision.repair == msgspec.structs.replace(action, params={"speed_mm_s": 300})
+
+
+def test_what_is_wrong_besides_speed_is_not_repaired() -> None:
+    action = worlds.navigate("dock", "plant-room", speed=2_000)
+    assert EnvelopeGate(CONFIG).assess(action, near(500), worlds.facts(), worlds.NOW).repair is None
+
+
+def test_a_verdict_has_no_truth_value() -> None:
+    decision = EnvelopeGate(CONFIG).assess(grip(), worlds.state(), worlds.facts(), worlds.NOW)
+    with pytest.raises(TypeError):
+        bool(decision)
+
+
+@pytest.mark.parametrize(
+    ("by", "reason"), [("safety-officer-1", ""), ("operator-1", "ROLE_DENIED")]
+)
+def test_only_a_safety_officer_signs_the_configuration(by: str, reason: str) -> None:
+    folder = worlds.trust_folder()
+    token = sign_object(CONFIG, Tag.SAFETY, worlds.folder_signer(folder, by))
+    now = Now(worlds.START_MS, 0)
+    if not reason:
+        assert open_config(token, verifier=read_trust(folder), now=now) == CONFIG
+        return
+    with pytest.raises(AuthGuardError, match=reason):
+        open_config(token, verifier=read_trust(folder), now=now)
+
+
+def test_all_four_pairs_of_verdicts_occur() -> None:
+    """Source: section "Safety and Authorization Policies": the two predicates are independent."""
+    from authguard_r.enforcement import evaluate
+
+    verified = worlds.verified()
+    pairs = set()
+    for goal, speed in (
+        ("pharmacy", 500),
+        ("station-103", 500),
+        ("plant-room", 500),
+        ("pharmacy", 700),
+    ):
+        state = near(500) if speed == 700 else worlds.state()
+        judged = evaluate(
+            verified,
+            worlds.navigate("dock", goal, speed=speed),
+            state=state,
+            facts=worlds.facts(),
+            now=worlds.NOW,
+            standing=worlds.active(verified),
+            safety=EnvelopeGate(CONFIG),
+        )
+        assert judged.safety is not None
+        pairs.add((str(judged.decision.verdict), judged.safety.safe))
+    assert pairs == {("accept", True), ("reject", True), ("reject", False), ("accept", False)}
