@@ -243,7 +243,7 @@ def store_clock(store: Path) -> Clock:
 
     Only a log that says so in its first record has simulated time; `authguard run` writes such.
     """
-    if not store.is_file():
+    if not store.is_file() or store.stat().st_size == 0:
         return SystemClock()
     first = next(iter(read_rows(store)), None)
     high = read_held(store, "clock", "high")

@@ -52,6 +52,9 @@ def run(arguments: list[str]) -> int:
             where=error.filename or "",
         )
         return emit_error(fault.reason, fault.message, str(fault.where), as_json=as_json, code=5)
+    except Exception as error:  # noqa: BLE001 - a fault of ours is said, not thrown
+        name = f"{type(error).__name__}: please report this"
+        return emit_error(Reason.INTERNAL_FAULT, name, "", as_json=as_json, code=5)
     return result if isinstance(result, int) else 0
 
 

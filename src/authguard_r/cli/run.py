@@ -135,6 +135,8 @@ def run_command(
     """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
     instant, model = wall_now(now), load_site(site)
     rid = gate_robot(trust, robot)
+    if rid not in model.robots:
+        raise typer.BadParameter(f"the site has no robot `{rid}`", param_hint="--robot")
     config = None
     if safety is not None:
         config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from unit.keys import chains
-from unit.keys.chains import DAY_MS, NOW, House, eku, house, san
+from unit.keys.chains import DAY_MS, NOW, TODAY, House, eku, house, san
 
 GATE_NAMES = (
     chains.PRINCIPAL + "gate-1",
@@ -141,6 +142,84 @@ def test_a_chain_of_another_length_is_refused(length: int) -> None:
     chain = (leaf.der, house().people.der, house().root.der, *(b"" for _ in range(5)))[:length]
     error = refused(house().trust(), chain, reason=Reason.CERTIFICATE_INVALID, where="certificate")
     assert f"got {length}" in error.message
+
+
+# -- the same chain again --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("leaf_days", "list_days", "reason"),
+    [(5, 9, Reason.CERTIFICATE_EXPIRED), (9, 5, Reason.REVOCATION_STALE)],
+    ids=["certificate", "list"],
+)
+def test_a_chain_that_held_holds_until_its_end_and_not_a_millisecond_longer(
+    leaf_days: int, list_days: int, reason: Reason
+) -> None:
+    """A chain is remembered so that it need not be walked for every token; its dates are not."""
+    trust = house().trust(days=list_days)
+    end = TODAY + timedelta(days=leaf_days)
+    chain = house().chain(chains.leaf(house().people, end=end))
+    until = NOW.utc_ms + 5 * DAY_MS
+    for utc_ms in (NOW.utc_ms, NOW.utc_ms + 1, until):
+        assert trust.identify(chain, Now(utc_ms, 0)).not_after_ms == until
+    with pytest.raises(AuthenticityError) as caught:
+        trust.identify(chain, Now(until + 1, 0))
+    assert caught.value.reason is reason
+    assert trust.identify(chain, NOW).not_after_ms == until
+
+
+def test_a_chain_that_held_does_not_hold_before_its_beginning() -> None:
+    trust = house().trust()
+    chain = house().chain(chains.leaf(house().people, start=TODAY))
+    assert trust.identify(chain, NOW).principal == "operator-1"
+    with pytest.raises(AuthenticityError) as caught:
+        trust.identify(chain, Now(NOW.utc_ms - 1, 0))
+    assert caught.value.reason is Reason.CERTIFICATE_EXPIRED
+
+
+def test_a_chain_that_did_not_hold_is_asked_again() -> None:
+    """A refusal is never remembered: a certificate that begins tomorrow holds tomorrow."""
+    trust = house().trust()
+    chain = house().chain(chains.leaf(house().people, start=TODAY + timedelta(days=1)))
+    for _ in range(2):
+        refused(trust, chain, reason=Reason.CERTIFICATE_EXPIRED, where="certificate.leaf")
+    later = Now(NOW.utc_ms + DAY_MS, 0)
+    assert trust.identify(chain, later).principal == "operator-1"
+
+
+def test_one_good_half_of_a_remembered_chain_proves_nothing() -> None:
+    trust = house().trust()
+    leaf = chains.leaf(house().people)
+    trust.identify(house().chain(leaf), NOW)
+    forged = chains.leaf(house().people, by=chains.key("mallory"))
+    refused(
+        trust,
+        (forged.der, house().people.der),
+        reason=Reason.CERTIFICATE_INVALID,
+        where="certificate.leaf",
+    )
+    refused(
+        trust,
+        (leaf.der, house().root.der),
+        reason=Reason.CERTIFICATE_INVALID,
+        where="certificate.authority",
+    )
+
+
+def test_two_trusts_do_not_share_what_they_remember() -> None:
+    chain = house().chain(chains.leaf(house().people, serial=41))
+    house().trust().identify(chain, NOW)
+    revoked = house().trust(revoked={house().people.der: frozenset({41})})
+    refused(revoked, chain, reason=Reason.CERTIFICATE_REVOKED, where="certificate")
+
+
+def test_more_signers_than_are_remembered_are_each_who_they_are() -> None:
+    """Memory is bounded: whoever shows a thousand good chains costs time, not space."""
+    trust = house().trust()
+    leaves = [chains.leaf(house().people, f"operator-{number}") for number in range(300)]
+    for leaf in (*leaves, *leaves[:3]):
+        found = trust.identify(house().chain(leaf), NOW)
+        assert found.principal == chains.common_name(leaf.certificate.subject)
 
 
 # -- signatures ------------------------------------------------------------------------------------
