@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from durable import LENGTHS
-from measure import Timing
+from measure import Timing, difference, ratio
 
 
 class Figure(NamedTuple):
@@ -118,6 +118,12 @@ def _shown(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
         ),
         _ratio(
             timings,
+            "known_signer_over_ed25519",
+            "a new token of a signer whose certificates are known / one bare Ed25519 verification",
+            ("token.known_signer", "ed25519.verify"),
+        ),
+        _ratio(
+            timings,
             "cold_token_over_biscuit",
             "a cold token / a cold Biscuit",
             ("token.cold", "biscuit.verify"),
@@ -161,8 +167,8 @@ def _sums(timings: dict[str, Timing]) -> list[Figure]:
         ("total_cold", "T_total, cold, no approval", (*steady, "token.cold", "T_L.ledger")),
         (
             "total_cold_approved",
-            "T_total, cold, one approval",
-            (*steady, "token.cold", "T_A.approval", "T_L.ledger"),
+            "T_total, cold, one cold approval",
+            (*steady, "token.cold", "T_A.approval_cold", "T_L.ledger"),
         ),
     )
     return [
@@ -199,7 +205,7 @@ def _ratio(
     target: float | None = None,
     moonshot: float | None = None,
 ) -> Figure:
-    value = timings[of[0]].p50 / timings[of[1]].p50
+    value = ratio(timings[of[0]], timings[of[1]])
     return Figure(key, what, value, "x", of, target, moonshot)
 
 
@@ -211,5 +217,5 @@ def _net(
     *,
     target: float | None = None,
 ) -> Figure:
-    value = (timings[of[0]].p50 - timings[of[1]].p50) / 1e6
+    value = difference(timings[of[0]], timings[of[1]]) / 1e6
     return Figure(key, what, value, "ms", of, target)

@@ -39,16 +39,14 @@ class Timing(NamedTuple):
         p95: of all samples together.
         p99: of all samples together.
         samples: how many there were.
-        blocks: in how many blocks.
-        spread: the lowest and highest median of a block.
+        medians: the median of each block, in order.
     """
 
     p50: float
     p95: float
     p99: float
     samples: int
-    blocks: int
-    spread: tuple[float, float]
+    medians: tuple[float, ...]
 
 
 class Effort(NamedTuple):
@@ -103,6 +101,23 @@ def interleave(subjects: list[Subject], effort: Effort) -> dict[str, Timing]:
     return {name: _timing(samples) for name, samples in blocks.items()}
 
 
+def ratio(one: Timing, other: Timing) -> float:
+    """Return how many times as long one took.
+
+    The median over blocks where both ran in the same ones: what slowed a block slowed both.
+    """
+    if len(one.medians) != len(other.medians):
+        return one.p50 / other.p50
+    return statistics.median(a / b for a, b in zip(one.medians, other.medians, strict=True))
+
+
+def difference(one: Timing, other: Timing) -> float:
+    """Return how much longer one took, in nanoseconds; paired as in `ratio`."""
+    if len(one.medians) != len(other.medians):
+        return one.p50 - other.p50
+    return statistics.median(a - b for a, b in zip(one.medians, other.medians, strict=True))
+
+
 def percentile(samples: list[int], share: int) -> float:
     """Return the nearest-rank percentile."""
     ranked = sorted(samples)
@@ -128,8 +143,7 @@ def _timing(blocks: list[list[int]]) -> Timing:
         p95=percentile(every, 95),
         p99=percentile(every, 99),
         samples=len(every),
-        blocks=len(blocks),
-        spread=(float(min(medians)), float(max(medians))),
+        medians=tuple(float(median) for median in medians),
     )
 
 

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from authguard_r.approvals import answer, open_approval
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Verdict as Answer
+from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.identifiers import GrantId
 from authguard_r.core.standing import ApprovalRequest
-from authguard_r.core.token import sign_object, verify_mission
+from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
 from authguard_r.intake import ISSUER_ROLES
-from authguard_r.keys.trust import read_trust
+from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.normalize import normalize
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
@@ -45,11 +46,17 @@ def decisions(effort: Effort) -> dict[str, Timing]:
 
 
 def tokens(effort: Effort) -> dict[str, Timing]:
-    """Time a cold token beside the signature checks in it, and the kept mission."""
-    trust, token = read_trust(worlds.trust_folder()), worlds.token()
-    bare = Signatures(token, trust)
+    """Time a cold token beside the signature checks in it, and the kept mission.
+
+    Cold: a trust root that was read just now and has seen no certificate. `token.known_signer`
+    is a token of somebody whose certificates were walked before; `token.kept` is the mission that
+    the gate holds already.
+    """
+    token = worlds.token()
+    known, fresh = read_trust(worlds.trust_folder()), _Fresh()
+    bare = Signatures(token, known)
     biscuit = BiscuitGate(scene())
-    held = bench(MemoryStore(), trust=trust)
+    held = bench(MemoryStore(), trust=known)
     kept = held.gate.management.activate(long_mission("kept")).digest
     intake = held.gate.enforcer.intake
 
@@ -57,12 +64,10 @@ def tokens(effort: Effort) -> dict[str, Timing]:
         """Ask inside a turn, as the enforcer does; only the asking counts."""
         return held.gate.ledger.run(lambda act: timed(lambda: intake.mission(act, kept))())
 
-    def cold() -> None:
-        verify_mission(token, verifier=trust, now=worlds.NOW, roles=ISSUER_ROLES)
-
     subjects = [
-        Subject("token.cold", timed(cold)),
+        Subject("token.cold", timed(lambda: _verify(token, fresh.trust), before=fresh.renew)),
         Subject("token.signatures", timed(bare.all)),
+        Subject("token.known_signer", timed(lambda: _verify(token, known))),
         Subject("ed25519.verify", timed(bare.one)),
         Subject("biscuit.verify", timed(biscuit.verify)),
         Subject("token.kept", keep),
@@ -79,7 +84,7 @@ def parts(effort: Effort) -> dict[str, Timing]:
     evidence = normalize(good, binder=here.binder).evidence
     bound = normalize(good, binder=here.binder).steps[0].action
     safety = EnvelopeGate(default_config(worlds.site(), worlds.RID))
-    trust = read_trust(worlds.trust_folder())
+    trust, fresh = read_trust(worlds.trust_folder()), _Fresh()
     approval = _approval(here)
     subjects = [
         Subject("T_N.normalize", timed(lambda: normalize(good, binder=here.binder))),
@@ -87,8 +92,10 @@ def parts(effort: Effort) -> dict[str, Timing]:
         Subject("T_P.decide", timed(lambda: here.decide(action))),
         Subject("T_P.decide_refused", timed(lambda: here.decide(refused))),
         Subject("T_P.digest", timed(lambda: digest_of(Tag.ACTION, action))),
+        Subject("T_A.approval", timed(lambda: _open(approval, trust, here))),
         Subject(
-            "T_A.approval", timed(lambda: open_approval(approval, verifier=trust, now=here.now))
+            "T_A.approval_cold",
+            timed(lambda: _open(approval, fresh.trust, here), before=fresh.renew),
         ),
         Subject(
             "T_S.assess", timed(lambda: safety.assess(action, here.state, here.facts, here.now))
@@ -105,6 +112,25 @@ def counted() -> dict[str, int]:
         "cedar.mission": Cedar(here, whole=True).conditions,
         "biscuit": BiscuitGate(here).conditions,
     }
+
+
+class _Fresh:
+    """A trust root that forgets what it has seen."""
+
+    def __init__(self) -> None:
+        self.trust = read_trust(worlds.trust_folder())
+
+    def renew(self) -> None:
+        """Read the trust root anew."""
+        self.trust = read_trust(worlds.trust_folder())
+
+
+def _verify(token: bytes, trust: Trust) -> VerifiedMission:
+    return verify_mission(token, verifier=trust, now=worlds.NOW, roles=ISSUER_ROLES)
+
+
+def _open(approval: bytes, trust: Trust, here: Scene) -> VerifiedApproval:
+    return open_approval(approval, verifier=trust, now=here.now)
 
 
 def _askers(here: Scene, action: Action) -> dict[str, Callable[[Action], bool]]:

@@ -25,15 +25,15 @@ FULL = {
     "decisions": Effort(blocks=11, calls=1_500, stretch=25, warm_up=300),
     "tokens": Effort(blocks=11, calls=400, stretch=5, warm_up=50),
     "parts": Effort(blocks=11, calls=1_000, stretch=25, warm_up=200),
-    "turns": Effort(blocks=11, calls=500, warm_up=50),
-    "plans": Effort(blocks=7, calls=300, warm_up=2),
+    "turns": Effort(blocks=11, calls=400, warm_up=500),
+    "plans": Effort(blocks=7, calls=300, warm_up=10),
 }
 QUICK = {
     "decisions": Effort(blocks=5, calls=500, stretch=25, warm_up=100),
     "tokens": Effort(blocks=5, calls=150, stretch=5, warm_up=20),
     "parts": Effort(blocks=5, calls=400, stretch=25, warm_up=100),
-    "turns": Effort(blocks=5, calls=150, warm_up=20),
-    "plans": Effort(blocks=5, calls=100, warm_up=1),
+    "turns": Effort(blocks=5, calls=150, warm_up=400),
+    "plans": Effort(blocks=5, calls=100, warm_up=5),
 }
 REVOCATIONS = {"full": 100, "quick": 20}
 
@@ -101,14 +101,12 @@ def _options() -> argparse.ArgumentParser:
 
 
 def _plain(timing: Timing) -> dict[str, Any]:
-    low, high = timing.spread
     return {
         "p50_us": round(timing.p50 / 1e3, 3),
         "p95_us": round(timing.p95 / 1e3, 3),
         "p99_us": round(timing.p99 / 1e3, 3),
         "samples": timing.samples,
-        "blocks": timing.blocks,
-        "block_medians_us": [round(low / 1e3, 3), round(high / 1e3, 3)],
+        "block_medians_us": [round(median / 1e3, 3) for median in timing.medians],
     }
 
 

@@ -88,7 +88,7 @@ def _sizes(results: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _value(value: float | bool, unit: str) -> str:
+def _value(value: Any, unit: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.3f} {unit}" if unit == "ms" else f"{value:.2f} {unit}"

@@ -116,10 +116,14 @@ def assemble(
         EnvironmentFault: the site does not know this robot.
         StoreError: the store cannot be used.
     """
-    rid, profile = trust.gate_identity(chain, Now(clock.wall_ms(), 0))
-    facts = facts_of(site, rid=rid, profile=profile)
-    first = {"site": facts.digest, "profile": profile, "demo": trust.demo, **genesis}
-    ledger = Ledger(store, clock, robot=rid, salts=salts, genesis=first)
+    try:
+        rid, profile = trust.gate_identity(chain, Now(clock.wall_ms(), 0))
+        facts = facts_of(site, rid=rid, profile=profile)
+        first = {"site": facts.digest, "profile": profile, "demo": trust.demo, **genesis}
+        ledger = Ledger(store, clock, robot=rid, salts=salts, genesis=first)
+    except BaseException:
+        store.close()  # it was handed over; a gate that is not made holds nothing
+        raise
     intake = Intake(ledger, trust, source=source, facts=facts)
     enforcer = Enforcer(
         ledger, intake, facts=facts, safety=safety, controller=controller, clock=clock
@@ -187,8 +191,6 @@ def simulate(
         AuthGuardError: a part is missing, not authentic or not usable.
     """
     trust = read_trust(folder)
-    if store is not None and store.is_file():
-        start_ms = max(start_ms, store_clock(store).wall_ms())
     robot = SymbolicRobot(
         site,
         rid,

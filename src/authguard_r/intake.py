@@ -12,10 +12,9 @@ from msgspec import Struct
 from authguard_r.approvals import open_approval
 from authguard_r.audit.record import Entry
 from authguard_r.core.approval import VerifiedApproval
-from authguard_r.core.encoding import Tag, decode, encode_fast
+from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.errors import (
     AuthenticityError,
-    AuthGuardError,
     MalformedError,
     RefusedError,
     StoreError,
@@ -27,7 +26,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, verify_mission
-from authguard_r.ledger import Act, Ledger
+from authguard_r.ledger import Act, Ledger, read_held
 
 ISSUER_ROLES = frozenset({"operator", "safety_officer"})
 ESTIMATOR_ROLES = frozenset({"estimator"})
@@ -74,10 +73,11 @@ class Intake:
         data = self._source.latest()
         if data is None or data == self._seen:
             return self._state
-        self._seen = data
         try:
             self._state = self._attest(data)
-        except AuthGuardError as error:
+            self._seen = data
+        except (MalformedError, AuthenticityError) as error:
+            self._seen = data
             fault = error
             self._ledger.note(
                 lambda at: Entry(
@@ -145,7 +145,7 @@ class Intake:
         verified = open_approval(token, verifier=self._verifier, now=act.now)
         key = f"{verified.approval.mid}:{verified.approval.counter}"
         held = act.get("approvals", key)
-        tokens = () if held is None else decode(held, tuple[str, ...], where="store.approvals")
+        tokens = () if held is None else read_held(held, tuple[str, ...], "approvals")
         text = token.decode("ascii").strip()
         if text not in tokens:
             act.put("approvals", key, encode_fast((*tokens, text)))
@@ -157,7 +157,7 @@ class Intake:
         tokens: list[str] = []
         for request in () if standing is None else standing.requests.values():
             held = act.get("approvals", f"{standing.mid}:{request.counter}") if standing else None
-            for token in () if held is None else decode(held, tuple[str, ...]):
+            for token in () if held is None else read_held(held, tuple[str, ...], "approvals"):
                 try:
                     data = token.encode("ascii")
                     approvals.append(open_approval(data, verifier=self._verifier, now=act.now))

@@ -9,15 +9,17 @@ Spec page: docs/spec/store.md#time
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import TypeVar
 
 from authguard_r.audit.record import Entry, append
 from authguard_r.core.encoding import decode, encode_fast
-from authguard_r.core.errors import ClockError
+from authguard_r.core.errors import ClockError, MalformedError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId, RobotId
 from authguard_r.core.ports import Clock, Store, Turn
 from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 
 T = TypeVar("T")
@@ -52,7 +54,9 @@ class Ledger:
         self._mono_base = 0
         self._mono_start = clock.mono_ms()
         self._high = Now(0, 0)
-        self._standings: dict[MissionId, Standing] = {}
+        self._standings: dict[MissionId, tuple[int, Standing]] = {}
+        self._turns = 0
+        self._mirror = threading.Lock()
         store.run(lambda turn: self._open(turn, genesis))
 
     def mono_ms(self) -> int:
@@ -81,20 +85,21 @@ class Ledger:
         """
 
         def turn_job(turn: Turn) -> tuple[T, Act]:
-            now = self.now()
-            act = Act(turn, now, self._salts)
+            self._turns += 1  # in the order of the turns, which is the order of the log
+            act = Act(turn, self.now(), self._salts, order=self._turns)
             result = job(act)
-            turn.put("clock", "high", encode_fast(now))
+            turn.put("clock", "high", encode_fast(act.now))
             return result, act
 
         result, act = self.store.run(turn_job)
-        self._high = act.now
-        self._standings.update(act.held)
+        with self._mirror:
+            self._remember(act)
         return result
 
     def standing(self, mid: MissionId) -> Standing | None:
         """Return the standing as last committed, without waiting for a turn."""
-        return self._standings.get(mid)
+        known = self._standings.get(mid)
+        return None if known is None else known[1]
 
     def note(self, entry: Callable[[int], Entry]) -> int:
         """Record something that needs no trustworthy clock: a refusal, a stop, an alert.
@@ -113,6 +118,14 @@ class Ledger:
 
         return self.store.run(turn_job)
 
+    def _remember(self, act: Act) -> None:
+        """Mirror what was committed; threads may come back in another order than they committed."""
+        self._high = max(self._high, act.now, key=lambda now: (now.utc_ms, now.mono_ms))
+        for mid, standing in act.held.items():
+            known = self._standings.get(mid)
+            if known is None or known[0] < act.order:
+                self._standings[mid] = (act.order, standing)
+
     def close(self) -> None:
         """Let go of the store."""
         self.store.close()
@@ -120,7 +133,7 @@ class Ledger:
     def _open(self, turn: Turn, genesis: dict[str, object]) -> None:
         held = turn.get("clock", "high")
         if held is not None:
-            self._high = decode(held, Now, where="store.clock")
+            self._high = read_held(held, Now, "clock")
             self._mono_base = self._high.mono_ms
         if turn.head()[0] == 0:
             entry = Entry(
@@ -139,9 +152,11 @@ class Act:
         turn: the writer's turn.
         now: read once for the whole act.
         salts: returns that many fresh random bytes.
+        order: number of the turn; a later turn has a greater one.
     """
 
-    def __init__(self, turn: Turn, now: Now, salts: Callable[[int], bytes]) -> None:
+    def __init__(self, turn: Turn, now: Now, salts: Callable[[int], bytes], *, order: int) -> None:
+        self.order = order
         self._turn = turn
         self._salts = salts
         self.now = now
@@ -152,7 +167,7 @@ class Act:
         held = self._turn.get("standing", mid)
         if held is None:
             return None
-        standing = decode(held, Standing, where=f"store.standing.{mid}")
+        standing = read_held(held, Standing, "standing")
         self.held.setdefault(mid, standing)
         return standing
 
@@ -164,7 +179,7 @@ class Act:
     def active(self) -> MissionId | None:
         """Return the one mission that is active on this robot."""
         held = self._turn.get("active", "mission")
-        return None if not held else MissionId(held.decode("ascii"))
+        return None if not held else MissionId(held.decode("ascii", "replace"))
 
     def make_active(self, mid: MissionId | None) -> None:
         """Make a mission the active one, or none."""
@@ -193,3 +208,15 @@ class Act:
     def record(self, entry: Entry) -> int:
         """Append one record to the log."""
         return append(self._turn, entry, salts=self._salts(16 * len(entry.sealed)))
+
+
+def read_held(data: bytes, kind: type[T], what: str) -> T:
+    """Return a value that was held; what the store itself cannot spell is its corruption.
+
+    Raises:
+        StoreError: the bytes are none.
+    """
+    try:
+        return decode(data, kind, where=f"store.{what}")
+    except MalformedError as error:
+        raise StoreError(error.message, where=error.where, reason=Reason.STORE_CORRUPT) from error

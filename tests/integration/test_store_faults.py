@@ -46,7 +46,9 @@ T = TypeVar("T")
 SEED = int(os.environ.get("AUTHGUARD_SEED", "404"))
 HOUR_MS = 3_600_000
 PATIENCE = 60
-MID = worlds.mission().mid
+#: The hospital mission for a whole day: a store's own time may be later than the story's.
+MISSION = worlds.mission(window={"for": "20 h"})
+MID = MISSION.mid
 LOOK = Action(type="scan_obstacles", tool="lidar", params={})
 LEG = worlds.navigate("dock", "pharmacy", speed=800)
 PICK = Action(
@@ -68,7 +70,7 @@ def path(tmp_path: Path) -> Path:
 def sim(path: Path) -> Iterator[Simulation]:
     """A gate on a file, with the hospital mission active."""
     made = worlds.simulation(store=path)
-    made.gate.management.activate(worlds.token())
+    made.gate.management.activate(worlds.token(MISSION))
     yield made
     made.gate.close()
 
@@ -233,7 +235,7 @@ def test_an_action_that_cannot_be_recorded_is_refused_and_never_begun(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
     (broken, reason), sim = fault, worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token())
+    sim.gate.management.activate(worlds.token(MISSION))
     standing = standing_of(sim)
     broken.break_it(sim)
     rows = rows_of(sim)
@@ -253,13 +255,13 @@ def test_a_mission_that_cannot_be_recorded_is_not_activated(
     (broken, reason), sim = fault, worlds.simulation(store=path)
     broken.break_it(sim)
     with pytest.raises(StoreError) as refused:
-        sim.gate.management.activate(worlds.token())
+        sim.gate.management.activate(worlds.token(MISSION))
     assert refused.value.reason is reason
     broken.mend(sim)
     assert sim.gate.management.standing(MID) is None
     assert "management" not in kinds(rows_of(sim))
     assert worlds.propose(sim, LOOK).refusal.reason is Reason.NO_ACTIVE_MISSION
-    sim.gate.management.activate(worlds.token())
+    sim.gate.management.activate(worlds.token(MISSION))
     require_goes_on(sim)
     sim.gate.close()
 
@@ -268,7 +270,7 @@ def test_a_stop_is_carried_out_on_a_store_that_takes_nothing(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
     (broken, _), sim = fault, worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token())
+    sim.gate.management.activate(worlds.token(MISSION))
     broken.break_it(sim)
     sim.gate.enforcer.stop(by="planner", is_planner=True)
     sim.gate.enforcer.stop(by="operator-1", is_planner=False)
@@ -282,7 +284,7 @@ def test_an_outcome_that_cannot_be_recorded_leaves_its_release_to_a_person(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
     (broken, _), sim = fault, worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token())
+    sim.gate.management.activate(worlds.token(MISSION))
     begin = sim.robot.dispatch
 
     def dispatch(action: Action, lease: Lease) -> Flight:
@@ -361,7 +363,7 @@ def test_a_store_that_another_process_holds_cannot_be_opened(path: Path) -> None
         require_not_opened(path, Reason.STORE_UNAVAILABLE)
         other.communicate()
     again = worlds.simulation(store=path)
-    again.gate.management.activate(worlds.token())
+    again.gate.management.activate(worlds.token(MISSION))
     require_goes_on(again)
     again.gate.close()
 
@@ -402,7 +404,7 @@ def test_a_database_of_another_program_is_refused_and_left_alone(path: Path, set
 
 def test_a_store_of_a_newer_program_is_refused_until_it_is_ours_again(path: Path) -> None:
     made = worlds.simulation(store=path)
-    made.gate.management.activate(worlds.token())
+    made.gate.management.activate(worlds.token(MISSION))
     made.gate.close()
     for version in (FORMAT + 1, 1_000):
         set_version(path, version)
@@ -437,7 +439,7 @@ def test_a_store_on_a_read_only_disk_is_refused_until_it_can_be_written(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = worlds.simulation(store=path)
-    made.gate.management.activate(worlds.token())
+    made.gate.management.activate(worlds.token(MISSION))
     made.gate.close()
     before = path.read_bytes()
     vfs = ReadOnly()
@@ -473,7 +475,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A closed store with an active mission that has some history and is not done."""
     path = tmp_path_factory.mktemp("filled") / "store.db"
     sim = worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token())
+    sim.gate.management.activate(worlds.token(MISSION))
     for _ in range(8):
         assert worlds.propose(sim, LOOK).outcome is Outcome.SUCCEEDED
     sim.gate.close()
@@ -724,11 +726,11 @@ def test_a_clock_that_runs_backwards_under_way_stops_the_robot(sim: Simulation) 
 
 
 def test_a_gate_restarted_on_a_clock_that_is_behind_its_store_refuses(path: Path) -> None:
-    value = worlds.mission(window={"for": "6 h"})
     first = worlds.simulation(store=path, start_ms=worlds.START_MS + 2 * HOUR_MS)
-    first.gate.management.activate(worlds.token(value))
+    first.gate.management.activate(worlds.token(MISSION))
     first.gate.close()
-    behind = worlds.simulation(store=path, start_ms=worlds.START_MS + HOUR_MS)
+    behind = worlds.simulation(store=path, start_ms=worlds.START_MS + 2 * HOUR_MS)
+    behind.robot._start_ms -= HOUR_MS
     require_refused(behind, worlds.propose(behind, LOOK), Reason.CLOCK_BEHIND)
     with pytest.raises(ClockError):
         behind.gate.management.recover()
@@ -832,7 +834,7 @@ def test_an_act_that_comes_back_late_does_not_turn_trusted_time_back() -> None:
 def test_a_controller_that_refuses_is_no_store_fault_and_gives_the_start_back(path: Path) -> None:
     """The near miss of everything above: the store works, and the log says what did not."""
     sim = worlds.simulation(store=path, faults=Faults(controller_refuses=True))
-    sim.gate.management.activate(worlds.token())
+    sim.gate.management.activate(worlds.token(MISSION))
     report = worlds.propose(sim, LOOK)
     assert report.outcome is Outcome.NOT_STARTED
     assert [finding.reason for finding in report.reasons] == [Reason.CONTROLLER_FAILED]

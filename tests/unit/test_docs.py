@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documents are true: their commands run, their links lead somewhere, their tables are the code.
+"""The documents are true: commands run, links lead somewhere, tables are the code.
 
 A page's `bash` and `python` blocks run in order in one folder that holds a copy of `examples/`. A
-command fails only where its line ends with `# exit N`. A `text` block right after a block is what it
-prints: each line in order, `...` for anything.
+command fails only where its line ends with `# exit N`. A `text` block right after a block is what
+it prints: each line in order, `...` for anything.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +26,7 @@ DOCS = ROOT / "docs"
 PAGES = (
     *sorted((DOCS / "tutorial").glob("*.md")),
     *sorted((DOCS / "howto").glob("*.md")),
+    DOCS / "reference" / "python.md",
     ROOT / "examples" / "hospital" / "README.md",
 )
 WRITTEN = (*sorted(DOCS.rglob("*.md")), *sorted(ROOT.glob("*.md")), PAGES[-1])
@@ -33,6 +35,7 @@ EXIT = re.compile(r"^(?P<command>.*\S)\s+# exit (?P<code>\d+)$")
 LINK = re.compile(r"(?<!!)\[[^\]\n]*\]\(([^)\s]+)\)")
 NAMED = re.compile(r"docs/[A-Za-z0-9_./-]+\.md(?:#[a-z0-9-]+)?")
 MARK = "@@ block"
+Capture = pytest.CaptureFixture[str]
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def run(text: str, folder: Path) -> tuple[int, str]:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
     return done.returncode, done.stdout
@@ -186,6 +189,49 @@ def test_every_page_that_the_code_names_is_there() -> None:
         if fault is not None
     ]
     assert found == []
+
+
+def helps(program: Callable[[list[str]], int], name: str, capsys: Capture) -> dict[str, set[str]]:
+    """Return every command of a program with its options, from its own help."""
+    found: dict[str, set[str]] = {}
+    open_paths: list[list[str]] = [[]]
+    while open_paths:
+        path = open_paths.pop()
+        assert program([*path, "--help"]) == 0
+        text = capsys.readouterr().out
+        _, _, commands = text.partition("Commands:\n")
+        below = re.findall(r"^  ([a-z]+) ", commands, re.MULTILINE)
+        if below:
+            open_paths += [[*path, command] for command in below]
+        else:
+            options = set(re.findall(r"^  (--[a-z-]+)", text, re.MULTILINE))
+            found[" ".join([name, *path])] = options - {"--help", "--json"}
+    return found
+
+
+def test_the_page_of_commands_names_every_command_with_its_options(capsys: Capture) -> None:
+    from authguard_r.cli import run as authguard
+
+    page = (DOCS / "reference" / "cli.md").read_text(encoding="utf-8")
+    told, _, _ = page.partition("## Not built yet")
+    found = helps(authguard, "authguard", capsys)
+    orders = ("resume", "revoke", "complete")
+    missing_commands = [
+        command
+        for command in found
+        if f"`{command}" not in told and command.removeprefix("authguard mission ") not in orders
+    ]
+    assert missing_commands == []
+    assert [o for options in found.values() for o in options if f"{o}" not in told] == []
+    assert "`missionpair validate`" in told
+
+
+def test_the_page_of_the_library_names_what_is_exported() -> None:
+    import authguard_r
+
+    page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
+    told = re.findall(r"^\| `(\w+)` \|", page.partition("\n## ")[0], re.MULTILINE)
+    assert sorted(told) == sorted(authguard_r.__all__)
 
 
 def test_every_dependency_has_its_line() -> None:

@@ -13,7 +13,7 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate
+from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate, store_clock
 from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
@@ -146,7 +146,7 @@ def run_command(
         model,
         read_binding(binding, model),
         rid=rid,
-        start_ms=instant.utc_ms,
+        start_ms=max(instant.utc_ms, store_clock(path).wall_ms() if now is None else 0),
         store=path,
         state=_world(model, rid, at, holding),
         faults=Faults(drift_to=RegionId(drift_to) if drift_to else None),

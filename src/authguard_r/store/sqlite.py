@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import apsw
 
@@ -31,26 +31,30 @@ FORMAT = 1
 _OLDEST_SQLITE = (3, 51, 3)
 _MAX_BATCH = 64
 
-_SCHEMA = f"""
-PRAGMA application_id = {APPLICATION_ID};
-PRAGMA user_version = {FORMAT};
+_SCHEMA = """
 CREATE TABLE held (
   kind TEXT NOT NULL, key TEXT NOT NULL, value BLOB NOT NULL, PRIMARY KEY (kind, key)
 ) STRICT, WITHOUT ROWID;
 CREATE TABLE audit (
   seq INTEGER PRIMARY KEY, record BLOB NOT NULL, sealed BLOB NOT NULL, link BLOB NOT NULL
 ) STRICT;
+CREATE TRIGGER audit_no_gap BEFORE INSERT ON audit
+WHEN NEW.seq IS NOT (SELECT coalesce(max(seq) + 1, 0) FROM audit)
+BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
 CREATE TRIGGER audit_no_update BEFORE UPDATE ON audit
 BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
 CREATE TRIGGER audit_no_delete BEFORE DELETE ON audit
 BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
 """
 
-_REASONS: tuple[tuple[type[apsw.Error], Reason, str], ...] = (
+_REASONS: tuple[tuple[type[Exception], Reason, str], ...] = (
     (apsw.FullError, Reason.STORE_FULL, "the disk is full"),
     (apsw.ReadOnlyError, Reason.STORE_READ_ONLY, "the store is read-only"),
     (apsw.CorruptError, Reason.STORE_CORRUPT, "the store is corrupt"),
+    (UnicodeDecodeError, Reason.STORE_CORRUPT, "the store is corrupt"),
     (apsw.NotADBError, Reason.STORE_CORRUPT, "the file is no store"),
+    (apsw.SQLError, Reason.STORE_CORRUPT, "the store is corrupt"),
+    (apsw.ConstraintError, Reason.STORE_CORRUPT, "the store is corrupt"),
     (apsw.BusyError, Reason.STORE_UNAVAILABLE, "another process holds the store"),
     (apsw.LockedError, Reason.STORE_UNAVAILABLE, "another process holds the store"),
 )
@@ -84,10 +88,10 @@ class _SqliteTurn:
 
     def get(self, kind: str, key: str) -> bytes | None:
         """Return the value held under the key."""
-        row = self._connection.execute(
-            "SELECT value FROM held WHERE kind = ? AND key = ?", (kind, key)
-        ).fetchone()
-        return None if row is None else bytes(row[0])
+        row = _first(
+            self._connection, "SELECT value FROM held WHERE kind = ? AND key = ?", (kind, key)
+        )
+        return None if row is None else _blob(row[0])
 
     def put(self, kind: str, key: str, value: bytes) -> None:
         """Hold the value when the turn commits."""
@@ -129,7 +133,7 @@ class SqliteStore:
         ticket = _Ticket(job)
         self._pending.append(ticket)  # type: ignore[arg-type]
         with self._lock:
-            if not ticket.done:
+            while not ticket.done:  # a full batch may be before it
                 self._commit_batch()
         return ticket.finish()
 
@@ -150,6 +154,11 @@ class SqliteStore:
             self._roll_back(before)
             for ticket in batch:
                 ticket.error = store_error(error)
+        except BaseException:
+            self._roll_back(before)
+            for ticket in batch:
+                ticket.error = StoreError("the commit was interrupted", where="store")
+            raise
         finally:
             for ticket in batch:
                 ticket.done = True
@@ -221,10 +230,10 @@ def read_rows(path: Path) -> Iterator[Row]:
             _require_format(connection, path)
             rows = connection.execute("SELECT seq, record, sealed, link FROM audit ORDER BY seq")
             for seq, record, sealed, link in rows:
-                yield Row(seq, bytes(record), bytes(sealed), bytes(link))
+                yield Row(seq, _blob(record), _blob(sealed), _blob(link))
         finally:
             connection.close()
-    except apsw.Error as error:
+    except (apsw.Error, UnicodeDecodeError) as error:
         raise store_error(error, where=str(path)) from error
 
 
@@ -247,8 +256,8 @@ def read_held(path: Path, kind: str, key: str) -> bytes | None:
         raise store_error(error, where=str(path)) from error
 
 
-def store_error(error: apsw.Error, *, where: str = "store") -> StoreError:
-    """Return our word for SQLite's."""
+def store_error(error: apsw.Error | UnicodeDecodeError, *, where: str = "store") -> StoreError:
+    """Return our word for SQLite's; text that is no text is a damaged cell."""
     for kind, reason, message in _REASONS:
         if isinstance(error, kind):
             return StoreError(f"{message}: {error}", reason=reason, where=where)
@@ -257,16 +266,28 @@ def store_error(error: apsw.Error, *, where: str = "store") -> StoreError:
 
 def _prepare(connection: apsw.Connection, path: Path) -> None:
     connection.set_busy_timeout(0)
+    if connection.readonly("main"):
+        raise apsw.ReadOnlyError("it was opened without the right to write")
+    # looked at before anything is written: what is not ours is left alone
+    fresh = _is_empty(connection)
+    if not fresh:
+        _require_format(connection, path)
     connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
     connection.execute("PRAGMA journal_mode = WAL").fetchall()
     connection.execute("PRAGMA synchronous = FULL")
     # taking the exclusive lock now, not at the first decision
     connection.execute("BEGIN IMMEDIATE")
-    fresh = connection.execute("SELECT count(*) FROM sqlite_schema").get == 0
     if fresh:
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        connection.execute(f"PRAGMA user_version = {FORMAT}")
         connection.execute(_SCHEMA)
     connection.execute("COMMIT")
-    _require_format(connection, path)
+
+
+def _is_empty(connection: apsw.Connection) -> bool:
+    """True for a file that nobody has used for anything."""
+    marks = ("application_id", "user_version", "schema_version")
+    return all(connection.execute(f"PRAGMA {mark}").get == 0 for mark in marks)
 
 
 def _require_format(connection: apsw.Connection, path: Path) -> None:
@@ -284,5 +305,20 @@ def _require_format(connection: apsw.Connection, path: Path) -> None:
 
 
 def _read_head(connection: apsw.Connection) -> tuple[int, bytes]:
-    row = connection.execute("SELECT seq, link FROM audit ORDER BY seq DESC LIMIT 1").fetchone()
-    return (0, GENESIS) if row is None else (row[0] + 1, bytes(row[1]))
+    row = _first(connection, "SELECT seq, link FROM audit ORDER BY seq DESC LIMIT 1", ())
+    return (0, GENESIS) if row is None else (row[0] + 1, _blob(row[1]))
+
+
+def _first(connection: apsw.Connection, query: str, values: tuple[str, ...]) -> Any:
+    """Return the first row, or None; text that is no text is a damaged cell."""
+    try:
+        return connection.execute(query, values).fetchone()
+    except UnicodeDecodeError as error:
+        raise apsw.CorruptError("expected bytes, got broken text") from error
+
+
+def _blob(cell: object) -> bytes:
+    """Return a cell's bytes; a strict table holds nothing else, a damaged one may."""
+    if isinstance(cell, bytes):
+        return cell
+    raise apsw.CorruptError(f"expected bytes, got {type(cell).__name__}")
