@@ -95,6 +95,7 @@ def assemble(
     clock: Clock,
     store: Store,
     genesis: dict[str, object],
+    demo: bool = False,
     salts: Callable[[int], bytes] = os.urandom,
 ) -> Gate:
     """Return the gate made of these parts.
@@ -109,6 +110,7 @@ def assemble(
         clock: the only source of time.
         store: registry and log.
         genesis: what else the log's first record says.
+        demo: take a root that says `demo`; nothing that guards a real robot does.
         salts: randomness for commitments.
 
     Raises:
@@ -117,6 +119,7 @@ def assemble(
         StoreError: the store cannot be used.
     """
     try:
+        _require_real(trust, demo=demo)
         rid, profile = trust.gate_identity(chain, Now(clock.wall_ms(), 0))
         facts = facts_of(site, rid=rid, profile=profile)
         first = {"site": facts.digest, "profile": profile, "demo": trust.demo, **genesis}
@@ -130,6 +133,16 @@ def assemble(
     )
     management = Management(ledger, intake, verifier=trust, facts=facts)
     return Gate(enforcer=enforcer, management=management, ledger=ledger, facts=facts, trust=trust)
+
+
+def _require_real(trust: Trust, *, demo: bool) -> None:
+    """Refuse a root that says it is for demonstration, unless this is one."""
+    if trust.demo and not demo:
+        raise EnvironmentFault(
+            "the root is for demonstration only: every private key lies in its folder",
+            reason=Reason.CERTIFICATE_INVALID,
+            where="root",
+        )
 
 
 def sign_terminal(gate: Gate, signer: Signer) -> bytes:
@@ -215,6 +228,7 @@ def simulate(
             "safety": safety_digest(config),
             "clock": SIMULATED,
         },
+        demo=True,
     )
     binder = Binder(site, binding)
     return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
@@ -292,6 +306,7 @@ def offline_gate(folder: Path, site: Site, *, rid: RobotId, store: Path) -> Gate
         clock=store_clock(store),
         store=open_store(store),
         genesis={},
+        demo=True,
     )
 
 

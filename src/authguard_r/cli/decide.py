@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from msgspec import Struct
+from msgspec import Struct, to_builtins
 
 from authguard_r.cli.inputs import (
     JsonFlag,
@@ -33,13 +33,14 @@ from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import SafetyGate
-from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
 from authguard_r.enforcement import evaluate
 from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.normalize.bind import site_spellings
+from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.parse import read_json
 from authguard_r.report import Judged
 from authguard_r.safety import EnvelopeGate, default_config
@@ -54,7 +55,7 @@ class _Question(Struct, frozen=True, kw_only=True):
     trust: Trust
     standing: Standing | None
     safety: SafetyGate
-    base: Label
+    ledger: ContextLedger
 
 
 def decide_command(
@@ -94,7 +95,7 @@ def decide_command(
         trust=anchor,
         standing=_standing(verified, store),
         safety=EnvelopeGate(default_config(model, facts.robot.rid)),
-        base=read_context(context, {}).base(),
+        ledger=read_context(context, site_spellings(model)),
     )
     default = None if state is None else read_input(state)
     if jsonl:
@@ -103,7 +104,7 @@ def decide_command(
         raise typer.BadParameter("expected an action, or --jsonl", param_hint="--action")
     plain = read_json(text_of(read_input(action), "action"), where="action")
     judged = _decide(question, plain, default, at)
-    emit(decision_json(judged, authoritative=False), decision_lines(judged), as_json=as_json)
+    emit(_answer(question, judged), decision_lines(judged), as_json=as_json)
     return verdict_code(judged.decision)
 
 
@@ -127,8 +128,14 @@ def _decide(question: _Question, plain: Any, state: bytes | None, now: Now) -> J
         now=now,
         standing=question.standing,
         safety=question.safety,
-        base=question.base,
+        base=question.ledger.base(),
     )
+
+
+def _answer(question: _Question, judged: Judged) -> dict[str, Any]:
+    influences = question.ledger.influences(judged.action)
+    answer = decision_json(judged, authoritative=False)
+    return {**answer, "influenced_by": [to_builtins(item) for item in influences]}
 
 
 def _stream(question: _Question, default: bytes | None, now: Now) -> int:
@@ -145,7 +152,7 @@ def _stream(question: _Question, default: bytes | None, now: Now) -> int:
             state = default if given is None else json.dumps(given, default=str).encode()
             at = wall_now(request["now"]) if request.get("now") is not None else now
             judged = _decide(question, request["action"], state, at)
-            answer = decision_json(judged, authoritative=False)
+            answer = _answer(question, judged)
         except AuthGuardError as error:
             found = {"code": str(error.reason), "message": error.message, "where": error.where}
             answer = {"error": found}

@@ -32,6 +32,7 @@ from authguard_r.cli.out import emit, exit_code, report_code, report_json, repor
 from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, RefusedError
+from authguard_r.core.finding import average_deviation, plan_deviation
 from authguard_r.core.identifiers import ObjectId, RegionId
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.quantities import Now, to_timestamp
@@ -257,9 +258,15 @@ def _payload(simulation: Simulation, runs: list[Run], path: Path) -> dict[str, A
     anchor = path.with_suffix(".checkpoint")
     anchor.write_bytes(terminal)
     state = simulation.robot.state
+    judged = [report.judged for run in runs for report in run.reports]
+    findings = tuple(item.decision.findings for item in judged if item is not None)
     return {
         "steps": [report_json(report) for run in runs for report in run.reports],
         "planned": sum(run.steps for run in runs),
+        "deviation": {
+            "max": float(plan_deviation(findings, {})),
+            "average": float(average_deviation(findings, {})),
+        },
         "alerts": [alert for run in runs for alert in run.alerts],
         "on_refusal": next((run.then for run in runs if run.then is not None), None),
         "smallest_change": next((run.change for run in runs if run.change is not None), None),

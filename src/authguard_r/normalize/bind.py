@@ -79,7 +79,7 @@ class Binder:
 
     def spellings(self) -> dict[str, str]:
         """Return every external spelling of regions and objects with the id that it names."""
-        return {**self._regions, **self._objects}
+        return site_spellings(self._site)
 
     def _collect(self, call: Call, tool: ToolBinding) -> dict[str, Any]:
         fields: dict[str, Any] = dict(tool.fixed)
@@ -153,6 +153,13 @@ def _rounded(exact: Fraction, rounding: Rounding, where: str) -> int:
         return round(exact)
     toward_zero = abs(exact.numerator) // exact.denominator
     return (toward_zero + 1) * (1 if exact > 0 else -1)
+
+
+def site_spellings(site: Site) -> dict[str, str]:
+    """Return every external spelling of a site's regions and objects with the id it names."""
+    regions = _spellings({region: model.names for region, model in site.regions.items()})
+    objects = _spellings({item: model.names for item, model in site.objects.items()})
+    return {**regions, **objects}
 
 
 def _spellings(named: dict[Any, tuple[str, ...]]) -> dict[str, str]:

@@ -55,8 +55,16 @@ _REASONS: tuple[tuple[type[Exception], Reason, str], ...] = (
     (apsw.NotADBError, Reason.STORE_CORRUPT, "the file is no store"),
     (apsw.SQLError, Reason.STORE_CORRUPT, "the store is corrupt"),
     (apsw.ConstraintError, Reason.STORE_CORRUPT, "the store is corrupt"),
-    (apsw.BusyError, Reason.STORE_UNAVAILABLE, "another process holds the store"),
-    (apsw.LockedError, Reason.STORE_UNAVAILABLE, "another process holds the store"),
+    (
+        apsw.BusyError,
+        Reason.STORE_UNAVAILABLE,
+        "another process holds the store (is a gate running?)",
+    ),
+    (
+        apsw.LockedError,
+        Reason.STORE_UNAVAILABLE,
+        "another process holds the store (is a gate running?)",
+    ),
 )
 
 

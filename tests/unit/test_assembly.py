@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The wiring refuses to start unsafe (L7)."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+import worlds
+from authguard_r.assembly import SystemClock, assemble, folder_signer, offline_gate, store_clock
+from authguard_r.core.errors import AuthGuardError, ControllerError
+from authguard_r.keys.trust import read_trust
+from authguard_r.safety import EnvelopeGate, default_config
+from authguard_r.store.memory import MemoryStore
+
+
+def parts(name: str = "gate-courier-1", **changes):  # type: ignore[no-untyped-def]
+    sim = worlds.simulation()
+    fields = {
+        "trust": read_trust(worlds.trust_folder()),
+        "chain": folder_signer(worlds.trust_folder(), name).chain,
+        "site": worlds.site(),
+        "safety": EnvelopeGate(default_config(worlds.site(), worlds.RID)),
+        "controller": sim.robot,
+        "source": sim.robot,
+        "clock": sim.robot,
+        "store": MemoryStore(),
+        "genesis": {},
+    }
+    return {**fields, **changes}
+
+
+def test_a_demo_root_is_refused_outside_a_demo() -> None:
+    with pytest.raises(AuthGuardError, match="demonstration only"):
+        assemble(**parts())
+    assert assemble(**parts(), demo=True).trust.demo
+
+
+@pytest.mark.parametrize("name", ["operator-1", "estimator-courier-1", "witness-1"])
+def test_only_a_gates_certificate_makes_a_gate(name: str) -> None:
+    with pytest.raises(AuthGuardError, match="ROLE_DENIED"):
+        assemble(**parts(name), demo=True)
+
+
+def test_a_folder_without_the_key_is_a_fault_with_its_place() -> None:
+    with pytest.raises(AuthGuardError, match="holds no key of `nobody`"):
+        folder_signer(worlds.trust_folder(), "nobody")
+
+
+def test_an_offline_gate_moves_nothing(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    gate = offline_gate(
+        worlds.trust_folder(), worlds.site(), rid=worlds.RID, store=tmp_path / "robot.db"
+    )
+    controller = gate.enforcer._controller
+    with pytest.raises(ControllerError):
+        controller.dispatch(worlds.navigate("dock", "pharmacy"), None)  # type: ignore[arg-type]
+    controller.stop()
+    assert gate.enforcer.intake.refresh() is None
+    gate.close()
+
+
+def test_the_machines_clocks_run_forward() -> None:
+    clock = SystemClock()
+    before, wall = clock.mono_ms(), clock.wall_ms()
+    clock.pause(2)
+    assert clock.mono_ms() >= before + 2
+    assert abs(wall - time.time() * 1000) < 60_000
+
+
+def test_simulated_time_goes_on_where_it_was_committed(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "robot.db"
+    assert isinstance(store_clock(path), SystemClock)
+    ahead = worlds.START_MS + 10**10
+    sim = worlds.simulation(store=path, start_ms=worlds.START_MS)
+    sim.gate.management.activate(worlds.token())
+    sim.gate.close()
+    clock = store_clock(path)
+    assert clock.wall_ms() >= worlds.START_MS
+    assert clock.mono_ms() >= 0
+    clock.pause(1)
+    assert clock.wall_ms() < ahead
+    path.write_bytes(b"")
+    assert isinstance(store_clock(path), SystemClock)
+
+
+def test_a_store_of_the_machines_own_time_is_not_simulated(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "robot.db"
+    gate = offline_gate(worlds.trust_folder(), worlds.site(), rid=worlds.RID, store=path)
+    gate.ledger.run(lambda act: act.now)
+    gate.close()
+    assert isinstance(store_clock(path), SystemClock)
