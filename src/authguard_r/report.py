@@ -8,6 +8,7 @@ to, what counts and codes lies open. Spec page: docs/spec/audit-record.md
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import msgspec
@@ -106,8 +107,8 @@ def open_question(
     need, match = decision.need, decision.match
     if decision.verdict is not Verdict.REQUEST_APPROVAL or standing is None:
         return None
-    if need is None or match is None:  # pragma: no cover - step 7 was reached
-        return None
+    if match is None or need is None or need.scope is None or need.situation is None:
+        return None  # pragma: no cover - step 7 asked, so it said for what
     grant = match.indexed.grant.id
     open_now = standing.requests.get(grant)
     if open_now is not None and (open_now.scope, open_now.situation) == (
@@ -216,3 +217,17 @@ def _safety_summary(safety: SafetyDecision | None) -> Any:
     if safety is None:
         return NOT_EVALUATED
     return {"safe": safety.safe, "hazards": [finding.hazard for finding in safety.findings]}
+
+
+def plan_deviation(actions: tuple[Findings, ...], weights: dict[Reason, int]) -> Fraction:
+    """Return D_M(P), the largest deviation of a plan's actions: one violation is enough.
+
+    Source: `eq:plan-deviation`
+    """
+    return max((deviation(findings, weights) for findings in actions), default=Fraction(0))
+
+
+def average_deviation(actions: tuple[Findings, ...], weights: dict[Reason, int]) -> Fraction:
+    """Return the average that experiments report beside D_M(P)."""
+    each = [deviation(findings, weights) for findings in actions]
+    return sum(each, Fraction(0)) / max(len(each), 1)

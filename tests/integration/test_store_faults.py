@@ -11,9 +11,11 @@ import itertools
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -467,6 +469,52 @@ def test_a_place_that_can_hold_no_file_is_refused(tmp_path: Path, place: str) ->
         read_held(path, "active", "mission")
 
 
+# a file whose maker was killed
+
+
+class Snapshots(apsw.VFS):
+    """The operating system's file system, which keeps what is there at the first removal."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = f"snapshots-{next(_NAMES)}"
+        super().__init__(self.name, "")
+        self._folder = folder
+
+    def xDelete(self, name: str, sync_folder: bool) -> None:  # noqa: N802 - SQLite's word
+        if not self._folder.exists():
+            shutil.copytree(Path(name).parent, self._folder)
+        super().xDelete(name, sync_folder)
+
+
+def half_made(how: str, folder: Path) -> Path:
+    """Return a file as a gate leaves it that is killed while it makes its store."""
+    made = folder / "made"
+    made.mkdir()
+    path = made / "store.db"
+    if how == "empty":
+        path.touch()
+    elif how == "header":
+        plain = apsw.Connection(str(path))
+        plain.execute("PRAGMA journal_mode = WAL").fetchall()
+        plain.close()
+    else:
+        vfs = Snapshots(folder / "snapshot")
+        open_store(path, vfs=vfs.name).close()
+        vfs.unregister()
+        path = folder / "snapshot" / "store.db"
+        assert path.with_name("store.db-journal").exists()
+    return path
+
+
+@pytest.mark.parametrize("how", ["empty", "header", "journal"])
+def test_a_store_that_was_half_made_is_made_anew(tmp_path: Path, how: str) -> None:
+    sim = worlds.simulation(store=half_made(how, tmp_path))
+    sim.gate.management.activate(worlds.token(MISSION))
+    require_goes_on(sim)
+    assert kinds(rows_of(sim)) == ["genesis", "management", "decision", "outcome"]
+    sim.gate.close()
+
+
 # a file that was damaged
 
 
@@ -740,6 +788,16 @@ def test_a_gate_restarted_on_a_clock_that_is_behind_its_store_refuses(path: Path
     mended = worlds.simulation(store=path, start_ms=worlds.START_MS + 3 * HOUR_MS)
     require_goes_on(mended)
     mended.gate.close()
+
+
+def test_a_simulated_gate_takes_no_time_from_the_machine(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worlds.simulation(store=path).gate.close()
+    monkeypatch.setattr(time, "time_ns", lambda: (worlds.START_MS + 48 * HOUR_MS) * 1_000_000)
+    again = worlds.simulation(store=path, start_ms=worlds.START_MS + HOUR_MS)
+    assert again.robot.wall_ms() == worlds.START_MS + HOUR_MS
+    again.gate.close()
 
 
 # threads that come back in another order than they committed

@@ -11,11 +11,15 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -35,6 +39,14 @@ EXIT = re.compile(r"^(?P<command>.*\S)\s+# exit (?P<code>\d+)$")
 LINK = re.compile(r"(?<!!)\[[^\]\n]*\]\(([^)\s]+)\)")
 NAMED = re.compile(r"docs/[A-Za-z0-9_./-]+\.md(?:#[a-z0-9-]+)?")
 MARK = "@@ block"
+#: Hands a command's words, folder and files to a process that has everything imported already.
+CLIENT = """#!{python} -IS
+import os, socket, sys
+link = socket.socket(socket.AF_UNIX)
+link.connect({address!r})
+socket.send_fds(link, ["\\0".join([os.getcwd(), *sys.argv[1:]]).encode()], [0, 1, 2])
+sys.exit(int(link.recv(16) or 99))
+"""
 Capture = pytest.CaptureFixture[str]
 
 
@@ -86,10 +98,11 @@ def script(page: tuple[Block, ...]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def run(text: str, folder: Path) -> tuple[int, str]:
+def run(text: str, folder: Path, *first: Path) -> tuple[int, str]:
     """Run a script beside a copy of the examples, with our own commands first on the path."""
     shutil.copytree(ROOT / "examples", folder / "examples")
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    places = (*map(str, first), str(Path(sys.executable).parent), os.environ["PATH"])
+    path = os.pathsep.join(places)
     kept = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
     done = subprocess.run(
         ["bash", "-c", text],
@@ -102,6 +115,54 @@ def run(text: str, folder: Path) -> tuple[int, str]:
         check=False,
     )
     return done.returncode, done.stdout
+
+
+@pytest.fixture(scope="module")
+def commands() -> Iterator[Path]:
+    """A folder with an `authguard` that starts at once: a fork of one process with its imports.
+
+    Starting Python for each of a hundred commands would take a minute of imports.
+    """
+    with TemporaryDirectory(prefix="docs-") as folder:
+        address, client = f"{folder}/door", Path(folder) / "authguard"
+        client.write_text(CLIENT.format(python=sys.executable, address=address))
+        client.chmod(0o755)
+        environment = {**os.environ, "TMPDIR": folder, "COLUMNS": "100"}
+        server = subprocess.Popen([sys.executable, __file__, address], env=environment)
+        while not Path(address).exists():
+            assert server.poll() is None
+            time.sleep(0.02)
+        yield Path(folder)
+        server.terminate()
+        server.wait()
+
+
+def serve(address: str) -> None:
+    """Run each command that comes in through the door, in a fork, with the caller's files."""
+    from authguard_r.cli import app, run as authguard
+    from authguard_r.compile.units import to_integer
+
+    assert app.app and to_integer("1 m/s", "mm/s", where="warm") == 1_000  # imports and units
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    door = socket.socket(socket.AF_UNIX)
+    door.bind(f"{address}.new")
+    door.listen(64)
+    Path(f"{address}.new").rename(address)
+    while True:
+        link, _ = door.accept()
+        data, files, _, _ = socket.recv_fds(link, 1 << 16, 3)
+        if os.fork() == 0:
+            folder, *words = data.decode().split("\0")
+            os.chdir(folder)
+            for number, file in enumerate(files):
+                os.dup2(file, number)
+            code = authguard(words)
+            sys.stdout.flush()
+            sys.stderr.flush()
+            link.send(str(code).encode())
+            os._exit(0)
+        for file in (*files, link.detach()):
+            os.close(file)
 
 
 def missing(printed: tuple[str, ...], output: list[str]) -> str | None:
@@ -134,11 +195,11 @@ def dangling(target: str, base: Path) -> str | None:
 
 @pytest.mark.parametrize("page", PAGES, ids=relative)
 def test_every_command_of_a_page_runs_and_prints_what_the_page_says(
-    page: Path, tmp_path: Path
+    page: Path, tmp_path: Path, commands: Path
 ) -> None:
     found = blocks(page.read_text(encoding="utf-8"))
     assert found, "a page to follow without anything to run"
-    code, output = run(script(found), tmp_path)
+    code, output = run(script(found), tmp_path, commands)
     assert code == 0, output[-4000:]
     parts = re.split(rf"^{MARK} \d+\n", output, flags=re.MULTILINE)[1:]
     for block, part in zip(found, parts, strict=True):
@@ -154,6 +215,11 @@ def test_a_failing_command_and_a_wrong_exit_code_are_seen(tmp_path: Path) -> Non
         assert got == code, line
     assert missing(("a...c", "d"), ["x", "abc", "y", "d"]) is None
     assert missing(("d", "a...c"), ["x", "abc", "y", "d"]) == "a...c"
+
+
+def test_the_installed_command_is_the_one_that_the_pages_run(tmp_path: Path) -> None:
+    code, output = run("authguard site check examples/hospital/site.yaml", tmp_path)
+    assert (code, output) == (0, "hospital-floor-1: sound, 11 regions, 3 objects\n")
 
 
 def test_the_page_of_reason_codes_is_the_enumeration() -> None:
@@ -255,3 +321,7 @@ def test_every_decision_page_is_numbered_in_order_and_complete() -> None:
         assert text.startswith(f"# {page.name[:4]} ")
         parts = ("**Context.**", "**Decision.**", "**Consequences.**")
         assert [part for part in parts if part not in text] == []
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1])

@@ -32,7 +32,6 @@ from authguard_r.cli.out import emit, exit_code, report_code, report_json, repor
 from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, RefusedError
-from authguard_r.core.finding import average_deviation, plan_deviation
 from authguard_r.core.identifiers import ObjectId, RegionId
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.quantities import Now, to_timestamp
@@ -41,7 +40,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
-from authguard_r.report import Report
+from authguard_r.report import Report, average_deviation, plan_deviation
 from authguard_r.safety import open_config
 from authguard_r.sim.robot import Faults
 from authguard_r.sim.world import WorldState, initial_state

@@ -94,36 +94,52 @@ def decide(
 def find_match(case: Case) -> Match:
     """Return the first grant in signed order without findings, else the one with fewest.
 
-    Ties go to signed order. Only grants of the action's type can be without findings, so they are
-    tried alone first; the answer is the same, a refusal just looks at all.
+    Ties go to signed order. Only a grant of the action's type can be without findings, so these
+    are looked at first; another is given up as soon as it cannot win any more.
     """
-    best: Match | None = None
-    for indexed in case.verified.by_type.get(case.action.type, ()):
-        match = _match(case, indexed)
+    tried: dict[int, Match] = {}
+    best: tuple[int, int] | None = None  # how many findings, place in signed order
+    same = case.verified.by_type.get(case.action.type, ())
+    others = [n for n in range(len(case.verified.grants)) if n not in same]
+    for place in (*same, *others):
+        match = _match(case, case.verified.grants[place], place, best)
+        if match is None:
+            continue
+        tried[place] = match
+        best = (len(match.findings), place)
         if not match.findings:
-            return match
-    for indexed in case.verified.grants:
-        match = _match(case, indexed)
-        if best is None or len(match.findings) < len(best.findings):
-            best = match
+            break
     if best is None:  # pragma: no cover - the schema demands one grant
         raise RuntimeError("a mission without grants was verified")
-    return best
+    return tried[best[1]]
 
 
-def _match(case: Case, indexed: IndexedGrant) -> Match:
+def _match(
+    case: Case, indexed: IndexedGrant, place: int, best: tuple[int, int] | None
+) -> Match | None:
+    """Return the grant with its best row, or None once `best` cannot be beaten any more."""
     own: list[Finding] = []
     for check in GRANT_CHECKS:
         own += check(case, indexed)
+        if best is not None and (len(own), place) > best:
+            return None
+    row, found = _best_row(case, indexed)
+    if best is not None and (len(own) + len(found), place) > best:
+        return None
+    return Match(indexed=indexed, row=row, findings=(*own, *found))
+
+
+def _best_row(case: Case, indexed: IndexedGrant) -> tuple[Row, list[Finding]]:
+    """Return the first row without findings, else the one with fewest, ties in signed order."""
     best: tuple[Row, list[Finding]] | None = None
     for row in selectable_rows(indexed.grant, case.standing):
         found: list[Finding] = []
-        for row_check in ROW_CHECKS:
-            found += row_check(case, row)
+        for check in ROW_CHECKS:
+            found += check(case, row)
         if best is None or len(found) < len(best[1]):
             best = (row, found)
         if not found:
             break
     if best is None:  # pragma: no cover - the schema demands one row
         raise RuntimeError("a grant without rows was verified")
-    return Match(indexed=indexed, row=best[0], findings=(*own, *best[1]))
+    return best

@@ -58,17 +58,3 @@ def deviation(findings: Findings, weights: dict[Reason, int]) -> Fraction:
     violated = {finding.reason for finding in findings}
     total = sum(weights.get(reason, 1) for reason in PROTECTED)
     return Fraction(sum(weights.get(r, 1) for r in PROTECTED if r in violated), total)
-
-
-def plan_deviation(actions: tuple[Findings, ...], weights: dict[Reason, int]) -> Fraction:
-    """Return D_M(P), the largest deviation of a plan's actions: one violation is enough.
-
-    Source: `eq:plan-deviation`
-    """
-    return max((deviation(findings, weights) for findings in actions), default=Fraction(0))
-
-
-def average_deviation(actions: tuple[Findings, ...], weights: dict[Reason, int]) -> Fraction:
-    """Return the average that experiments report beside D_M(P)."""
-    each = [deviation(findings, weights) for findings in actions]
-    return sum(each, Fraction(0)) / max(len(each), 1)

@@ -72,8 +72,3 @@ REFUSAL: dict[Status, Reason] = {
     Status.EXPIRED: Reason.EXPIRED,
     Status.SUPERSEDED: Reason.SUPERSEDED,
 }
-
-
-def next_status(status: Status, event: Event) -> Status | None:
-    """Return the status after the event, or None when the table does not allow it."""
-    return TRANSITIONS.get((status, event))

@@ -13,7 +13,6 @@ from enum import IntEnum
 from authguard_r.core.action import Action
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import RegionId
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState
@@ -61,13 +60,13 @@ def required(policy: RiskPolicy, tier: Tier) -> int:
 
 
 def _region_weight(action: Action, policy: RiskPolicy, facts: SiteFacts) -> int:
-    involved: set[RegionId] = set(action.route)
-    involved.update(r for r in (action.source, action.destination) if r is not None)
-    weights = [0]
-    for region in involved:
-        known = facts.regions.get(region)
-        if known is None:
-            weights.append(policy.otherwise)
+    """Return the weight of the heaviest tag of any region involved."""
+    heaviest = 0
+    for region in (action.source, action.destination, *action.route):
+        if region is None:
             continue
-        weights += [policy.region_tags.get(tag, policy.otherwise) for tag in known.tags]
-    return max(weights)
+        known = facts.regions.get(region)
+        tags = known.tags if known is not None else ("",)  # no tag is listed as the empty one
+        for tag in tags:
+            heaviest = max(heaviest, policy.region_tags.get(tag, policy.otherwise))
+    return heaviest

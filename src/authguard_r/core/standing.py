@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.core.identifiers import Digest, GrantId, MissionId, RobotId
-from authguard_r.core.lifecycle import Event, Status, next_status
+from authguard_r.core.lifecycle import TRANSITIONS, Event, Status
 from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import VerifiedMission
@@ -153,7 +153,7 @@ def in_flight(standing: Standing, grant: GrantId) -> int:
 
 def advance(standing: Standing, event: Event) -> Standing | None:
     """Return the standing after a lifecycle event, or None when the table refuses it."""
-    status = next_status(standing.status, event)
+    status = TRANSITIONS.get((standing.status, event))
     return None if status is None else _with(standing, status=status)
 
 

@@ -95,7 +95,7 @@ class VerifiedMission(Struct, frozen=True, kw_only=True):
     regions: frozenset[RegionId]
     limits: dict[ParameterId, Limit]
     grants: tuple[IndexedGrant, ...]
-    by_type: dict[ActionType, tuple[IndexedGrant, ...]]
+    by_type: dict[ActionType, tuple[int, ...]]
 
 
 def read_token(data: bytes) -> Token:
@@ -188,9 +188,9 @@ def verify_mission(
 def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> VerifiedMission:
     """Return the mission with its sets and limits keyed for look-up; checks nothing."""
     grants = tuple(IndexedGrant(g, {x.parameter: x for x in g.limits}) for g in mission.actions)
-    by_type: dict[ActionType, tuple[IndexedGrant, ...]] = {}
-    for indexed in grants:
-        by_type[indexed.grant.type] = (*by_type.get(indexed.grant.type, ()), indexed)
+    by_type: dict[ActionType, tuple[int, ...]] = {}
+    for place, grant in enumerate(mission.actions):
+        by_type[grant.type] = (*by_type.get(grant.type, ()), place)
     return VerifiedMission(
         mission=mission,
         digest=hashed,

@@ -34,6 +34,8 @@ class Binder:
         self._binding = binding
         self._regions = _spellings({r: m.names for r, m in site.regions.items()})
         self._objects = _spellings({o: m.names for o, m in site.objects.items()})
+        arguments = [a for tool in binding.tools.values() for a in tool.arguments.values()]
+        self._factors = {a.per_unit: Fraction(a.per_unit) for a in arguments}
 
     def bind(self, call: Call) -> Action:
         """Return the action that the call means, without provenance and meta.
@@ -116,7 +118,7 @@ class Binder:
             )
         name = ParameterId(argument.to.removeprefix("params."))
         parameter = self._site.vocabulary[tool.type].params[name]
-        return scale(value, parameter, per_unit=Fraction(argument.per_unit), where=where)
+        return scale(value, parameter, per_unit=self._factors[argument.per_unit], where=where)
 
 
 def scale(value: Any, parameter: Parameter, *, per_unit: Fraction, where: str) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import StrEnum
+from fractions import Fraction
 from typing import Any, Literal
 
 from msgspec import Struct
@@ -19,6 +20,9 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import ActionType, Digest, Identifier, Integer, ToolId
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
+
+#: Longest `per_unit`, in characters.
+MAX_FACTOR = 20
 
 
 class Use(StrEnum):
@@ -109,6 +113,11 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     for name, argument in tool.arguments.items():
         if (argument.use is Use.MAPPED) != bool(argument.to):
             yield f"arguments.{name}.to", "expected a target exactly when it is mapped"
+        if not _is_factor(argument.per_unit):
+            yield (
+                f"arguments.{name}.per_unit",
+                "expected a positive number, such as `1000` or `1/3`",
+            )
         if argument.use is Use.MAPPED:
             origins.append(argument.to)
     for target in origins:
@@ -121,6 +130,13 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     missing = sorted(required.difference(origins))
     if missing and not kind.state_writing:
         yield "arguments", f"expected an origin for `{missing[0]}`"
+
+
+def _is_factor(text: str) -> bool:
+    try:
+        return len(text) <= MAX_FACTOR and Fraction(text) > 0
+    except (ValueError, ZeroDivisionError):
+        return False
 
 
 def load_binding(data: Any, *, site: Site, where: str) -> Binding:

@@ -7,7 +7,6 @@ with its place. Spec page: docs/spec/normalize.md#dialects
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
 from typing import Any
 
@@ -45,8 +44,7 @@ def read_plan(text: str, dialect: Dialect) -> tuple[Call, ...]:
     Raises:
         MalformedError: broken, empty, too long, or in no known dialect.
     """
-    chosen = _recognize(text) if dialect is Dialect.AUTO else dialect
-    calls = _READERS[chosen](text)
+    calls = _read(text, dialect)
     if not calls:
         raise MalformedError("expected at least one call", where="input", reason=Reason.PLAN_EMPTY)
     if len(calls) > MAX_CALLS:
@@ -58,20 +56,22 @@ def read_plan(text: str, dialect: Dialect) -> tuple[Call, ...]:
     return calls
 
 
-def _recognize(text: str) -> Dialect:
-    """Name the dialect by its first character; a reply of a server says what it is."""
-    head = text.lstrip(" \t\r\n")[:1]
-    if head not in {"{", "["}:
-        return Dialect.CALLS
+def _read(text: str, dialect: Dialect) -> tuple[Call, ...]:
+    """Read in one dialect; `auto` goes by the first character and by what a reply says it is."""
+    if dialect is Dialect.CALLS:
+        return _calls(text)
+    if dialect is Dialect.AUTO and text.lstrip(" \t\r\n")[:1] not in {"{", "["}:
+        return _calls(text)
     value = read_json(text, where="input")
-    if isinstance(value, dict) and "choices" in value:
-        return Dialect.OPENAI
-    return Dialect.JSON
+    if dialect is Dialect.AUTO:
+        is_reply = isinstance(value, dict) and "choices" in value
+        return _openai(value) if is_reply else _json(value)
+    return _openai(value) if dialect is Dialect.OPENAI else _json(value)
 
 
-def _openai(text: str) -> tuple[Call, ...]:
+def _openai(value: Any) -> tuple[Call, ...]:
     """A whole chat-completions reply as a server sends it; exactly one finished choice."""
-    reply = _of(read_json(text, where="input"), dict, "input")
+    reply = _of(value, dict, "input")
     choices = _of(reply.get("choices"), list, "choices")
     if len(choices) != 1:
         raise MalformedError(f"expected one choice, got {len(choices)}", where="choices")
@@ -101,9 +101,8 @@ def _openai_call(item: Any, where: str) -> Call:
     return Call(name, _of(read_json(text, where=place), dict, place), place)
 
 
-def _json(text: str) -> tuple[Call, ...]:
+def _json(value: Any) -> tuple[Call, ...]:
     """`{"tool", "arguments"}`, a list of these, or `{"plan": [...]}`; no other key."""
-    value = read_json(text, where="input")
     where = "input"
     if isinstance(value, dict) and set(value) == {"plan"}:
         value, where = value["plan"], "plan"
@@ -129,13 +128,6 @@ def _json_call(item: Any, where: str) -> Call:
 def _calls(text: str) -> tuple[Call, ...]:
     """`navigate_to(destination="Station 101", speed=0.8)`, one call after the other."""
     return tuple(Call(name, arguments, where) for name, arguments, where in read_calls(text))
-
-
-_READERS: dict[Dialect, Callable[[str], tuple[Call, ...]]] = {
-    Dialect.OPENAI: _openai,
-    Dialect.JSON: _json,
-    Dialect.CALLS: _calls,
-}
 
 
 def _of(value: Any, kind: type[Any], where: str) -> Any:

@@ -41,7 +41,7 @@ def _fixed(
     """True when the mission leaves exactly this value for the field of this action type."""
     left = {
         getattr(row, field)
-        for indexed in verified.by_type.get(action.type, ())
-        for row in open_rows(indexed.grant, standing, action.source)
+        for place in verified.by_type.get(action.type, ())
+        for row in open_rows(verified.grants[place].grant, standing, action.source)
     }
     return left == {getattr(action, field)}

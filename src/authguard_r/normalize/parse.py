@@ -26,6 +26,7 @@ MAX_NUMBER = 40
 _NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _SPACE = re.compile(r"[ \t\r\n]*")
+_STRING_OR_BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[\]{}]', re.DOTALL)
 _WORDS: dict[str, bool] = {"true": True, "false": False, "True": True, "False": False}
 
 
@@ -55,18 +56,13 @@ def read_json(text: str, *, where: str) -> Any:
     """
     _require_depth(text, where)
     try:
-        value = json.loads(
-            text,
-            object_pairs_hook=_object,
-            parse_float=_decimal,
-            parse_int=_integer,
-            parse_constant=_constant,
-        )
+        value = _STRICT.decode(text)
     except json.JSONDecodeError as error:
         raise MalformedError(error.msg.lower(), where=f"{where}[{error.pos}]") from error
     except (ValueError, RecursionError) as error:
         raise MalformedError(str(error), where=where) from error
-    _require_text(value, where)
+    if "\\u" in text:  # only an escape can spell what UTF-8 cannot
+        _require_text(value, where)
     return value
 
 
@@ -182,23 +178,17 @@ def _constant(text: str) -> Any:
 
 def _require_depth(text: str, where: str) -> None:
     """Refuse nesting before the parser recurses: strings are skipped, brackets counted."""
-    depth, quoted, escaped = 0, False, False
-    for at, mark in enumerate(text):
-        if quoted:
-            if escaped:
-                escaped = False
-            elif mark == "\\":
-                escaped = True
-            elif mark == '"':
-                quoted = False
-        elif mark == '"':
-            quoted = True
-        elif mark in "[{":
+    if text.count("[") + text.count("{") <= MAX_DEPTH:
+        return
+    depth = 0
+    for token in _STRING_OR_BRACKET.finditer(text):
+        if token.group() in {"[", "{"}:
             depth += 1
-            if depth > MAX_DEPTH:
-                raise MalformedError(f"expected at most {MAX_DEPTH} levels", where=f"{where}[{at}]")
-        elif mark in "]}":
+        elif token.group() in {"]", "}"}:
             depth -= 1
+        if depth > MAX_DEPTH:
+            place = f"{where}[{token.start()}]"
+            raise MalformedError(f"expected at most {MAX_DEPTH} levels", where=place)
 
 
 def _require_text(value: Any, where: str) -> None:
@@ -215,3 +205,11 @@ def _require_text(value: Any, where: str) -> None:
     elif isinstance(value, list):
         for number, item in enumerate(value):
             _require_text(item, f"{where}[{number}]")
+
+
+_STRICT = json.JSONDecoder(
+    object_pairs_hook=_object,
+    parse_float=_decimal,
+    parse_int=_integer,
+    parse_constant=_constant,
+)

@@ -22,12 +22,12 @@ from authguard_r.core.standing import ApprovalRequest
 
 
 class Need(Struct, frozen=True, kw_only=True):
-    """How many principals are needed, and what their approvals must be bound to."""
+    """How many principals are needed, and what their approvals must be bound to, if any."""
 
     risk: int
     required: int
-    scope: Digest
-    situation: Digest
+    scope: Digest | None = None
+    situation: Digest | None = None
 
 
 class Situation(Struct, frozen=True, kw_only=True):
@@ -38,16 +38,19 @@ class Situation(Struct, frozen=True, kw_only=True):
 
 
 def assess_need(case: Case, grant: Grant) -> Need:
-    """Return Req(a, s) and the digests that approvals must carry, computed afresh."""
+    """Return Req(a, s), and what approvals must carry when there must be any; computed afresh."""
     policy = case.verified.mission.risk_policy
     score = rho(case.action, policy, state=case.state, facts=case.facts, now=case.now)
     tier = tier_of(policy, score)
+    count = required(policy, tier)
+    if count <= 1:
+        return Need(risk=score, required=count)
     guards = (*case.verified.mission.guards, *grant.guards)
     rid = case.facts.robot.rid
     truth = tuple(guard_finding(g, case.state, rid, case.now) is None for g in guards)
     return Need(
         risk=score,
-        required=required(policy, tier),
+        required=count,
         scope=digest_of(Tag.SCOPE, scope_of(case.action)),
         situation=digest_of(Tag.SITUATION, Situation(guards=truth, tier=int(tier))),
     )
