@@ -238,6 +238,7 @@ def bench(store: Store, *, trust: Any = None) -> Bench:
         clock=machine,
         store=store,
         genesis={},
+        demo=True,
     )
     binder = Binder(worlds.site(), worlds.binding())
     return Bench(gate, machine, binder, ContextLedger(binder.spellings()))

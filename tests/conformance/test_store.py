@@ -352,6 +352,15 @@ def test_a_store_that_is_opened_again_has_everything(path: Path) -> None:
     assert verify_rows(rows, terminal=None).whole
 
 
+def test_a_store_keeps_its_index_to_itself_from_the_first_page_it_reads(path: Path) -> None:
+    """No shared memory: nobody else may read along, and file systems without it will do."""
+    for _ in range(2):
+        store = open_store(path)
+        store.run(record)
+        assert sorted(file.name for file in path.parent.iterdir()) == ["store.db", "store.db-wal"]
+        store.close()
+
+
 @pytest.mark.parametrize(
     "statement",
     [

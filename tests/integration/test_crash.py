@@ -40,6 +40,8 @@ SEED = int(os.environ.get("AUTHGUARD_SEED", "20260"))
 PATIENCE = 60.0
 #: Simulated time between two lives of a gate: more than any round can use up.
 BETWEEN_MS = 600_000
+#: Rounds on one store at most: the mission must not end before they do.
+LONGEST = 60
 #: Its postcondition can be attested, so recovery settles it without a person.
 SELF_SETTLING = "tell"
 
@@ -334,7 +336,7 @@ def campaign(worker: Worker, folder: Path, *, kills: int, seed: int) -> None:
     in_flight = idle = acknowledged = 0
     life = Life(folder / "store-0.db", mid)
     for kill in range(kills):
-        if dice.random() < 0.1:
+        if dice.random() < 0.1 or life.rounds > LONGEST:
             life = Life(folder / f"store-{kill}.db", mid)
         heard = worker.round(life.order(dice.randrange(2**32)), dice)
         story = life.read()

@@ -515,6 +515,14 @@ def test_a_store_that_was_half_made_is_made_anew(tmp_path: Path, how: str) -> No
     sim.gate.close()
 
 
+@pytest.mark.parametrize("how", ["empty", "header", "journal"])
+def test_a_store_that_was_half_made_is_of_no_simulated_time(tmp_path: Path, how: str) -> None:
+    """So nothing keeps a gate with the machine's clock from making it anew."""
+    path = half_made(how, tmp_path)
+    assert isinstance(assembly.store_clock(path), assembly.SystemClock)
+    open_store(path).close()
+
+
 # a file that was damaged
 
 
@@ -667,6 +675,7 @@ def test_no_damage_to_the_file_gets_anything_but_a_store_error_out_of_it(
         path.write_bytes(damaged(filled, random.Random(f"{SEED}-{number}")))
         found = attempt(lambda: verify_rows(read_rows(path), terminal=None))
         attempt(lambda: read_held(path, "standing", MID))
+        attempt(lambda: assembly.store_clock(path))
         sim = attempt(lambda: worlds.simulation(store=path, start_ms=LATER_MS))
         if sim is not None:
             report = worlds.propose(sim, LOOK)  # whatever it says, it says it

@@ -47,13 +47,11 @@ def to_integer(value: str | int, unit: str, *, where: str) -> int:
 
 def _factor(spelled: str, unit: str, where: str) -> Fraction:
     """Return how many `unit` one `spelled` is, exactly."""
-    from pint import DimensionalityError, UndefinedUnitError
-
     registry = _registry()
     try:
         one = registry.Quantity(Fraction(1), registry.parse_units(spelled))
         return Fraction(one.to(registry.parse_units(unit)).magnitude)
-    except (DimensionalityError, UndefinedUnitError, ValueError, TypeError) as error:
+    except Exception as error:  # noqa: BLE001 - a unit parser raises what its tokenizer raises
         raise MalformedError(
             f"expected a quantity in {unit} or like it, got `{spelled}`", where=where
         ) from error

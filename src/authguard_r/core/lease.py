@@ -125,14 +125,14 @@ def still(
 
 
 def _time(lease: Lease, now: Now) -> Findings:
+    found: list[Finding] = []
     if now.utc_ms > lease.until_utc_ms:
-        at = to_timestamp(lease.until_utc_ms)
-        got = to_timestamp(now.utc_ms)
-        return (Finding("now", Reason.EXPIRED, f"at most {at}", got),)
+        at, got = to_timestamp(lease.until_utc_ms), to_timestamp(now.utc_ms)
+        found.append(Finding("now", Reason.EXPIRED, f"at most {at}", got))
     if now.mono_ms > lease.until_mono_ms:
         late = f"{now.mono_ms - lease.until_mono_ms} ms later"
-        return (Finding("lease", Reason.LEASE_ENDED, "in its time", late),)
-    return ()
+        found.append(Finding("lease", Reason.LEASE_ENDED, "in its time", late))
+    return tuple(found)
 
 
 def _bound(

@@ -225,10 +225,9 @@ def is_complete(standing: Standing, mission: Mission) -> bool:
 
 def finish(standing: Standing, mission: Mission, now: Now) -> Standing:
     """Return the standing after completion: closing where the mission asks for it."""
-    if mission.closing is not None and standing.status is Status.ACTIVE:
-        closing = advance(standing, Event.BEGIN_CLOSING)
-        if closing is not None:
-            return _with(closing, closes_ms=now.utc_ms + mission.closing.for_ms)
+    closing = advance(standing, Event.BEGIN_CLOSING)
+    if mission.closing is not None and closing is not None:
+        return _with(closing, closes_ms=now.utc_ms + mission.closing.for_ms)
     return advance(standing, Event.COMPLETE) or standing
 
 

@@ -110,8 +110,9 @@ def test_a_verified_mission_indexes_what_it_holds_and_nothing_else() -> None:
     assert found.regions == set(found.mission.regions)
     assert found.limits == {limit.parameter: limit for limit in found.mission.limits}
     assert [indexed.grant for indexed in found.grants] == list(found.mission.actions)
-    for kind, grants in found.by_type.items():
-        assert [g.grant for g in grants] == [g for g in found.mission.actions if g.type == kind]
+    for kind, places in found.by_type.items():
+        ours = [found.grants[place].grant for place in places]
+        assert ours == [g for g in found.mission.actions if g.type == kind]
     for indexed in found.grants:
         assert list(indexed.limits.values()) == list(indexed.grant.limits)
 
