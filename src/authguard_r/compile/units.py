@@ -51,7 +51,7 @@ def _factor(spelled: str, unit: str, where: str) -> Fraction:
     try:
         one = registry.Quantity(Fraction(1), registry.parse_units(spelled))
         return Fraction(one.to(registry.parse_units(unit)).magnitude)
-    except Exception as error:  # noqa: BLE001 - a unit parser raises what its tokenizer raises
+    except Exception as error:
         raise MalformedError(
             f"expected a quantity in {unit} or like it, got `{spelled}`", where=where
         ) from error
