@@ -17,7 +17,7 @@ from msgspec import Struct
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, decode
-from authguard_r.core.errors import ControllerError, EnvironmentFault
+from authguard_r.core.errors import ControllerError, EnvironmentFault, MalformedError, StoreError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.lease import Lease
@@ -211,6 +211,7 @@ def simulate(
         estimator=folder_signer(folder, f"estimator-{rid}"),
         start_ms=start_ms,
         faults=faults or Faults(),
+        epoch=1 if store is None else time.time_ns() // 1_000_000,
     )
     signer = folder_signer(folder, gate_name(rid))
     config = safety or default_config(site, rid)
@@ -261,13 +262,16 @@ def store_clock(store: Path) -> Clock:
     """
     if not store.is_file() or store.stat().st_size == 0:
         return SystemClock()
-    first = next(iter(read_rows(store)), None)
-    high = read_held(store, "clock", "high")
-    if first is None or high is None:
-        return SystemClock()
-    if read_record(first.record, where="record 0").open.get("clock") != SIMULATED:
-        return SystemClock()
-    return _SimulatedSince(decode(high, Now, where="store.clock").utc_ms)
+    try:
+        first = next(iter(read_rows(store)), None)
+        high = read_held(store, "clock", "high")
+        if first is None or high is None:
+            return SystemClock()
+        if read_record(first.record, where="record 0").open.get("clock") != SIMULATED:
+            return SystemClock()
+        return _SimulatedSince(decode(high, Now, where="store.clock").utc_ms)
+    except (StoreError, MalformedError):
+        return SystemClock()  # opening the store says what is wrong with it
 
 
 class _NoRobot:
@@ -305,7 +309,7 @@ def offline_gate(folder: Path, site: Site, *, rid: RobotId, store: Path) -> Gate
         source=nothing,
         clock=store_clock(store),
         store=open_store(store),
-        genesis={},
+        genesis={"clock": SIMULATED},  # only a demo folder gets here, and its robot is symbolic
         demo=True,
     )
 

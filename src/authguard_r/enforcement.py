@@ -111,6 +111,7 @@ class Enforcer:
         def job(act: Act) -> tuple[Judged, int]:
             judged = self._judge(act, step, planner=planner, evidence=evidence, base=base)
             self._commit(act, judged)
+            self.intake.keep_order(act)
             return judged, act.record(decision_entry(judged, influences))
 
         try:
@@ -125,13 +126,29 @@ class Enforcer:
         report = Report(judged=judged, influences=influences, seq=seq)
         return self._carry_out(judged, report) if judged.released else report
 
-    def stop(self, *, by: Identifier, is_planner: bool) -> None:
-        """Brake and hold, for anyone, at once; recorded afterwards."""
+    def stop(self, *, by: Identifier, is_planner: bool, suspends: bool = False) -> None:
+        """Brake and hold, for anyone, at once; recorded afterwards.
+
+        Args:
+            by: who asked, named by the caller's channel.
+            is_planner: counted against the planner's budget of stops.
+            suspends: an operator's stop: the mission goes on only after a signed `resume`.
+        """
         self._controller.stop()
         entry = stop_entry(by, is_planner=is_planner)
         self._quietly(lambda: self._ledger.note(entry))
         if is_planner:
             self._quietly(lambda: self._ledger.run(self._count_stop))
+        if suspends:
+            self._quietly(lambda: self._ledger.run(self._suspend))
+
+    @staticmethod
+    def _suspend(act: Act) -> None:
+        mid = act.active()
+        standing = act.standing(mid) if mid is not None else None
+        suspended = advance(standing, Event.SUSPEND) if standing is not None else None
+        if suspended is not None:
+            act.hold(suspended)
 
     def _count_stop(self, act: Act) -> None:
         """Count a stop that the planner asked for; past its budget, alert the operator."""

@@ -59,6 +59,9 @@ class Intake:
         self._verified: dict[Digest, VerifiedMission] = {}
         self._state: AttestedState | None = None
         self._seen: bytes | None = None
+        held = ledger.peek("state", "last")
+        self._last = (-1, -1) if held is None else read_held(held, tuple[int, int], "state")
+        self._kept = self._last
 
     @property
     def state(self) -> AttestedState | None:
@@ -89,6 +92,12 @@ class Intake:
                 )
             )
         return self._state
+
+    def keep_order(self, act: Act) -> None:
+        """Hold which snapshot was the last, so that a restart does not take an old one for new."""
+        if self._last != self._kept:
+            act.put("state", "last", encode_fast(self._last))
+            self._kept = self._last
 
     def active_mission(self, act: Act) -> VerifiedMission:
         """Return the one active mission, verified once and kept by the digest of its bytes.
@@ -176,11 +185,11 @@ class Intake:
             verifier=self._verifier,
             now=now,
         )
-        last = self._state.snapshot if self._state is not None else None
-        if last is not None and (snapshot.epoch, snapshot.seq) <= (last.epoch, last.seq):
+        if (snapshot.epoch, snapshot.seq) <= self._last:
             raise AuthenticityError(
-                f"expected a snapshot after epoch {last.epoch}, seq {last.seq}",
+                f"expected a snapshot after epoch {self._last[0]}, seq {self._last[1]}",
                 reason=Reason.STATE_REPLAYED,
                 where="state.seq",
             )
+        self._last = (snapshot.epoch, snapshot.seq)
         return attest(snapshot, self._facts, arrived_mono_ms=now.mono_ms)

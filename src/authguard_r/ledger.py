@@ -101,6 +101,14 @@ class Ledger:
         known = self._standings.get(mid)
         return None if known is None else known[1]
 
+    def peek(self, kind: str, key: str) -> bytes | None:
+        """Return a held value as last committed.
+
+        Raises:
+            StoreError: the store cannot be read.
+        """
+        return self.store.run(lambda turn: turn.get(kind, key))
+
     def note(self, entry: Callable[[int], Entry]) -> int:
         """Record something that needs no trustworthy clock: a refusal, a stop, an alert.
 
@@ -143,6 +151,13 @@ class Ledger:
                 open={"format": 1, "robot": self.robot, **genesis},
             )
             append(turn, entry, salts=b"")
+            turn.put("log", "robot", self.robot.encode("ascii"))
+        elif turn.get("log", "robot") != self.robot.encode("ascii"):
+            raise StoreError(
+                f"expected the store of `{self.robot}`",
+                where="store",
+                reason=Reason.ROBOT_MISMATCH,
+            )
 
 
 class Act:

@@ -9,20 +9,18 @@ give it: narrowing (suspend, revoke) by the issuer or any safety officer, wideni
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import msgspec
-from msgspec import Struct
 
 from authguard_r.approvals import open_selection
 from authguard_r.audit.record import Entry
+from authguard_r.commands import EVENTS, NARROWING, Command, Verb
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.mission import binding_findings
 from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Base64Url, Count, Digest, MissionId, Positive, PrincipalId
+from authguard_r.core.identifiers import Digest, MissionId, PrincipalId
 from authguard_r.core.lifecycle import TERMINAL, Event, Status
 from authguard_r.core.mission import Grant
 from authguard_r.core.ports import Verifier
@@ -43,49 +41,6 @@ from authguard_r.core.standing import (
 from authguard_r.core.token import Principal, VerifiedMission, open_token
 from authguard_r.intake import ISSUER_ROLES, Intake
 from authguard_r.ledger import Act, Ledger
-
-
-class Verb(StrEnum):
-    """What a command asks for."""
-
-    SUSPEND = "suspend"
-    RESUME = "resume"
-    REVOKE = "revoke"
-    COMPLETE = "complete"
-    RESOLVE = "resolve"
-
-
-_EVENTS: dict[Verb, Event] = {
-    Verb.SUSPEND: Event.SUSPEND,
-    Verb.RESUME: Event.RESUME,
-    Verb.REVOKE: Event.REVOKE,
-    Verb.COMPLETE: Event.COMPLETE,
-}
-_NARROWING = frozenset({Verb.SUSPEND, Verb.REVOKE})
-
-
-class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
-    """A principal's signed order about one mission version.
-
-    Args:
-        verb: what is asked for.
-        mid: the mission.
-        version: its version.
-        mission: digest of the signed mission.
-        nonce: fresh random bytes; a command is carried out once.
-        expires_ms: trusted time after which it is worth nothing.
-        ticket: for `resolve`, the open release.
-        outcome: for `resolve`, what became of it.
-    """
-
-    verb: Verb
-    mid: MissionId
-    version: Positive
-    mission: Digest
-    nonce: Base64Url
-    expires_ms: Count
-    ticket: Digest | None = None
-    outcome: Outcome | None = None
 
 
 class Management:
@@ -175,7 +130,7 @@ class Management:
         self._require_usable(verified, act)
         mission = verified.mission
         current = act.active()
-        old = act.standing(current) if current is not None else None
+        old = self._lapsed(act, act.standing(current) if current is not None else None)
         if old is not None and old.status not in TERMINAL and current != mission.mid:
             raise _refuse(Reason.TRANSITION_REFUSED, f"`{current}` is active on this robot")
         known = act.standing(mission.mid)
@@ -200,6 +155,22 @@ class Management:
         }
         act.record(_entry(act, mission.mid, opened, {"token": token.decode("ascii").strip()}))
         return active
+
+    def _lapsed(self, act: Act, standing: Standing | None) -> Standing | None:
+        """Return the standing after what time alone has ended: its validity, or its closing."""
+        if standing is None or standing.status in TERMINAL:
+            return standing
+        verified = self._intake.mission(act, standing.digest)
+        ended: Standing | None = None
+        if act.now.utc_ms > verified.expiry_ms:
+            ended = advance(standing, Event.EXPIRE)
+        elif standing.status is Status.CLOSING and act.now.utc_ms > standing.closes_ms:
+            ended = advance(standing, Event.COMPLETE)
+        if ended is None:
+            return standing
+        act.hold(ended)
+        act.record(_entry(act, ended.mid, {"verb": "lapse", "status": ended.status}))
+        return ended
 
     def _require_usable(self, verified: VerifiedMission, act: Act) -> None:
         """Refuse what could never be carried out here: robot, profile, site, time."""
@@ -288,7 +259,7 @@ class Management:
             raise _refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
         verified = self._intake.mission(act, standing.digest)
         mine = signer.id == verified.mission.issuer
-        if not mine and not (command.verb in _NARROWING and signer.role == "safety_officer"):
+        if not mine and not (command.verb in NARROWING and signer.role == "safety_officer"):
             raise _refuse(Reason.ROLE_DENIED, f"`{signer.id}` may not {command.verb} this mission")
         return standing, verified
 
@@ -297,7 +268,7 @@ class Management:
         act: Act, command: Command, standing: Standing, verified: VerifiedMission
     ) -> Standing | None:
         if command.verb is not Verb.RESOLVE:
-            return advance(standing, _EVENTS[command.verb])
+            return advance(standing, EVENTS[command.verb])
         if command.ticket is None or command.outcome in {None, Outcome.UNKNOWN}:
             return None
         if all(release.ticket != command.ticket for release in standing.open):
@@ -317,8 +288,8 @@ class Management:
         standing = act.standing(selection.mid)
         if standing is None or standing.digest != selection.mission:
             raise _refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
-        if act.now.utc_ms > selection.expires_ms:
-            raise _refuse(Reason.EXPIRED, "the selection ran out")
+        if act.now.utc_ms > selection.expires_ms or act.get("command", selection.nonce) is not None:
+            raise _refuse(Reason.EXPIRED, "the selection ran out or was taken in already")
         verified = self._intake.mission(act, standing.digest)
         grant = next((g for g in verified.mission.actions if g.id == selection.grant), None)
         if grant is None or selection.row >= len(grant.alternatives):
@@ -327,6 +298,7 @@ class Management:
             raise _refuse(Reason.ROLE_DENIED, f"the choice is the {grant.chooser}'s")
         chosen = select(standing, grant.id, selection.row)
         act.hold(chosen)
+        act.put("command", selection.nonce, b"1")
         opened = {"verb": "select", "by": signer.id, "grant": grant.id, "row": selection.row}
         act.record(_entry(act, selection.mid, opened))
         return chosen

@@ -14,6 +14,7 @@ import msgspec
 
 from authguard_r.approvals import Selection, answer
 from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
+from authguard_r.commands import Command, Verb
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
 from authguard_r.core.approval import Verdict
@@ -24,7 +25,6 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import sign_object
 from authguard_r.keys.setup import init_folder
-from authguard_r.management import Command, Verb
 from authguard_r.normalize import normalize
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.context import ContextLedger
@@ -198,6 +198,7 @@ def choose(bench: Bench, scene: Scene, grant: str, row: int, *, by: str = "opera
         mission=digest_of(Tag.MISSION, scene.mission),
         grant=GrantId(grant),
         row=row,
+        nonce=b64(f"{grant}-{row}-{scene.sim.robot.elapsed_ms}".encode()),
         expires_ms=scene.sim.robot.wall_ms() + 60_000,
     )
     signed = sign_object(selection, Tag.SELECTION, folder_signer(bench.folder, by))

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import worlds
-from authguard_r.cli import run
+from authguard_r.cli import call
 
 DECISION = {
     "outcome",
@@ -49,7 +49,7 @@ class Shell:
 
     def __call__(self, *arguments: str, stdin: bytes = b"") -> tuple[int, str]:
         self._patch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin)))
-        code = run([str(a) for a in arguments])
+        code = call([str(a) for a in arguments])
         out = self._capsys.readouterr()
         assert "Traceback" not in out.out + out.err
         return code, out.out or out.err

@@ -625,3 +625,21 @@ def test_an_interrupt_at_the_commit_is_not_taken_for_a_commit(
     assert durable.run(record) == 1
     durable.close()
     assert verify_rows(read_rows(path), terminal=None).whole
+
+
+def test_an_interrupt_just_after_the_commit_leaves_a_store_that_goes_on(
+    durable: SqliteStore, path: Path
+) -> None:
+    durable.run(record)
+
+    def interrupt(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    durable._connection.set_wal_hook(interrupt)  # called when the commit is in the file
+    with pytest.raises(KeyboardInterrupt):
+        durable.run(record)
+    durable._connection.set_wal_hook(None)
+    assert head(durable)[0] == 2
+    assert durable.run(record) == 2
+    durable.close()
+    assert verify_rows(read_rows(path), terminal=None).size == 3

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 import worlds
+from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.lifecycle import TERMINAL, TRANSITIONS, Event, Status
 from authguard_r.core.token import sign_object
-from authguard_r.management import Command, Verb
 
 ENDINGS = {Verb.REVOKE: "REVOKED", Verb.COMPLETE: "MISSION_COMPLETED"}
 

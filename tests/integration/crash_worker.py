@@ -21,6 +21,7 @@ import msgspec
 
 import worlds
 from authguard_r.assembly import Simulation, folder_signer, simulate
+from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.lease import Lease
@@ -28,7 +29,6 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.ports import Flight
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object
-from authguard_r.management import Command, Verb
 
 SCAN = Action(type="scan_obstacles", tool="lidar", params={})
 TELL = Action(type="announce", tool="speaker", params={})

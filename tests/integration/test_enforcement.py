@@ -12,13 +12,13 @@ import pytest
 import worlds
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
+from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
-from authguard_r.management import Command, Verb
 from authguard_r.sim.robot import Faults, snapshot_of
 from missionpair.bench import Scene, approve, make_bench, propose
 from missionpair.suite import restricted
@@ -486,6 +486,7 @@ def test_a_selection_that_does_not_fit_changes_nothing(
         "mission": digest_of(Tag.MISSION, mission),
         "grant": "pick-p1",
         "row": 0,
+        "nonce": "AA",
         "expires_ms": worlds.START_MS + 10**6,
     }
     value = Selection(**{**fields, **changes})

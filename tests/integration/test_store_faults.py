@@ -28,6 +28,7 @@ import worlds
 from authguard_r import assembly
 from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import ClockError, StoreError
@@ -38,7 +39,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, advance
 from authguard_r.core.token import sign_object
 from authguard_r.ledger import SKEW_MS, Ledger
-from authguard_r.management import Command, Verb
 from authguard_r.report import stop_entry
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
@@ -659,8 +659,8 @@ def attempt(act: Callable[[], T]) -> T | None:
     try:
         return act()
     except StoreError as error:
-        if error.reason is Reason.STORE_CORRUPT:
-            return None
+        if error.reason in {Reason.STORE_CORRUPT, Reason.ROBOT_MISMATCH}:
+            return None  # a damaged name may still be a name
         raise
 
 

@@ -13,6 +13,7 @@ from authguard_r.core.errors import AuthGuardError, ControllerError
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
+from authguard_r.store.sqlite import open_store
 
 
 def parts(name: str = "gate-courier-1", **changes):  # type: ignore[no-untyped-def]
@@ -86,7 +87,15 @@ def test_simulated_time_goes_on_where_it_was_committed(tmp_path) -> None:  # typ
 
 def test_a_store_of_the_machines_own_time_is_not_simulated(tmp_path) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "robot.db"
-    gate = offline_gate(worlds.trust_folder(), worlds.site(), rid=worlds.RID, store=path)
+    gate = assemble(**parts(store=open_store(path), clock=SystemClock()), demo=True)
     gate.ledger.run(lambda act: act.now)
     gate.close()
     assert isinstance(store_clock(path), SystemClock)
+    path.write_bytes(b"junk")
+    assert isinstance(store_clock(path), SystemClock)
+
+
+def test_a_store_of_another_robot_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    worlds.simulation(store=tmp_path / "robot.db").gate.close()
+    with pytest.raises(AuthGuardError, match="ROBOT_MISMATCH"):
+        worlds.simulation(store=tmp_path / "robot.db", rid=worlds.OTHER)

@@ -139,7 +139,7 @@ def commands() -> Iterator[Path]:
 
 def serve(address: str) -> None:
     """Run each command that comes in through the door, in a fork, with the caller's files."""
-    from authguard_r.cli import run as authguard  # before `app`, whose import hides this name
+    from authguard_r.cli import call as authguard
 
     import_module("authguard_r.cli.app")
     import_module("authguard_r.compile.units").to_integer("1 m/s", "mm/s", where="warm")

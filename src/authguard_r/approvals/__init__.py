@@ -11,7 +11,15 @@ from msgspec import Struct
 
 from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
 from authguard_r.core.encoding import Tag
-from authguard_r.core.identifiers import Count, Digest, GrantId, MissionId, Positive, RobotId
+from authguard_r.core.identifiers import (
+    Base64Url,
+    Count,
+    Digest,
+    GrantId,
+    MissionId,
+    Positive,
+    RobotId,
+)
 from authguard_r.core.ports import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import ApprovalRequest
@@ -30,6 +38,7 @@ class Selection(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         mission: digest of the signed mission.
         grant: the grant.
         row: index of the row among its alternatives.
+        nonce: fresh random bytes; a choice is taken in once, so that an old one undoes no new one.
         expires_ms: trusted time after which the choice is not taken in.
     """
 
@@ -38,6 +47,7 @@ class Selection(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     mission: Digest
     grant: GrantId
     row: Count
+    nonce: Base64Url
     expires_ms: Count
 
 

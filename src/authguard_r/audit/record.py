@@ -26,7 +26,8 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         link: what `eq:log` binds; `evidence` is the digest of everything below.
-        kind: `genesis`, `decision`, `outcome`, `management`, `stop`, `alert`, `intake`.
+        kind: `genesis`, `decision`, `outcome`, `management`, `refusal`, `stop`, `alert`,
+            `intake`.
         open: what anybody with the log may read.
         committed: commitment by name.
     """

@@ -12,17 +12,17 @@ import sys
 import typer
 from typer.exceptions import TyperException
 
-from authguard_r.cli.out import emit_error, exit_code
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.cli.out import emit_clarification, emit_error, exit_code
+from authguard_r.core.errors import AuthGuardError, ClarificationError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
-    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+    sys.exit(call(sys.argv[1:] if arguments is None else arguments))
 
 
-def run(arguments: list[str]) -> int:
+def call(arguments: list[str]) -> int:
     """Run one command and return its exit code; whatever happens is said, not thrown."""
     from authguard_r.cli.app import app
 
@@ -37,6 +37,8 @@ def run(arguments: list[str]) -> int:
         where = getattr(getattr(error, "param", None), "name", "") or ""
         show = getattr(error, "format_message", error.__str__)
         return emit_error("USAGE", show(), where, as_json=as_json, code=2)
+    except ClarificationError as error:
+        return emit_clarification(error, as_json=as_json)
     except AuthGuardError as error:
         return emit_error(
             error.reason, error.message, error.where, as_json=as_json, code=exit_code(error)
@@ -58,4 +60,4 @@ def run(arguments: list[str]) -> int:
     return result if isinstance(result, int) else 0
 
 
-__all__ = ["main", "run"]
+__all__ = ["call", "main"]

@@ -160,6 +160,6 @@ def _stream(question: _Question, default: bytes | None, now: Now) -> int:
             answer = {"error": {"code": "MALFORMED", "message": str(error), "where": "line"}}
         key = request.get("id") if isinstance(request, dict) else None
         shown = key if key is None or isinstance(key, str | int) else str(key)
-        sys.stdout.write(json.dumps({"id": shown, **answer}, ensure_ascii=False) + "\n")
+        sys.stdout.write(json.dumps({"id": shown, **answer}) + "\n")
         sys.stdout.flush()
     return 0

@@ -165,7 +165,7 @@ def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
     opened = read_token(read_file(token))
     mission = decode(unb64(opened.payload, where="token.payload"), Mission, where="mission")
     payload = {"mission": msgspec.to_builtins(mission), "digest": _digest(mission)}
-    lines = [json.dumps(payload["mission"], indent=2, ensure_ascii=False), "(not verified)"]
+    lines = [json.dumps(payload["mission"], indent=2), "(not verified)"]
     emit(payload, lines, as_json=as_json)
     return 0
 

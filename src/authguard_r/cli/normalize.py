@@ -43,7 +43,7 @@ def normalize_command(
         Path | None, typer.Option("--token", help="The mission that labels are worked out for.")
     ] = None,
     trust: Annotated[
-        Path | None, typer.Option("--trust", help="The trust folder; needed with --token.")
+        Path | None, typer.Option("--trust", help="The trust folder; verifies the token.")
     ] = None,
     dialect: Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")] = (
         Dialect.AUTO
@@ -65,7 +65,7 @@ def normalize_command(
     if jsonl:
         return _stream(binder, verified, ledger, dialect)
     answer, code = _answer(sys.stdin.buffer.read(), binder, verified, ledger, dialect)
-    emit(answer, [json.dumps(answer, indent=2, ensure_ascii=False)], as_json=as_json)
+    emit(answer, [json.dumps(answer, indent=2)], as_json=as_json)
     return code
 
 
@@ -104,7 +104,7 @@ def _stream(
             reason = error.reason if isinstance(error, AuthGuardError) else "MALFORMED"
             answer = {"error": {"code": str(reason), "message": str(error), "where": "line"}}
         key = request.get("id") if isinstance(request, dict) else None
-        sys.stdout.write(json.dumps({"id": _plain(key), **answer}, ensure_ascii=False) + "\n")
+        sys.stdout.write(json.dumps({"id": _plain(key), **answer}) + "\n")
         sys.stdout.flush()
     return 0
 

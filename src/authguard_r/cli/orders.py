@@ -24,6 +24,7 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission import TokenArgument, app
 from authguard_r.cli.out import emit
+from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.standing import Outcome, Standing
@@ -31,7 +32,7 @@ from authguard_r.core.token import sign_object, verify_mission
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.management import Command, Management, Verb
+from authguard_r.management import Management
 
 StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]
 KeyOption = Annotated[
@@ -131,6 +132,7 @@ def choose_command(
         mission=verified.digest,
         grant=GrantId(grant),
         row=row,
+        nonce=b64(os.urandom(16)),
         expires_ms=at.utc_ms + _ORDER_MS,
     )
     signed = sign_object(selection, Tag.SELECTION, signer)

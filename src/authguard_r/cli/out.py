@@ -32,7 +32,7 @@ from authguard_r.report import NOT_EVALUATED, Judged, Report
 def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
     """Print one JSON object, or the lines."""
     if as_json:
-        sys.stdout.write(json.dumps(payload, ensure_ascii=False) + "\n")
+        sys.stdout.write(json.dumps(payload) + "\n")
     else:
         sys.stdout.write("".join(f"{line}\n" for line in lines))
     sys.stdout.flush()
@@ -42,11 +42,27 @@ def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: in
     """Print an error where it belongs and return the exit code."""
     if as_json:
         error = {"code": str(reason), "message": message, "where": where}
-        sys.stdout.write(json.dumps({"error": error}, ensure_ascii=False) + "\n")
+        sys.stdout.write(json.dumps({"error": error}) + "\n")
     else:
         place = f" (at {where})" if where else ""
         sys.stderr.write(f"{reason}: {message}{place}\n")
     return code
+
+
+def emit_clarification(error: ClarificationError, *, as_json: bool) -> int:
+    """Print a question that only a person can answer, with what the site knows for it."""
+    if as_json:
+        asked = {
+            "field": error.field,
+            "question": error.question,
+            "candidates": list(error.candidates),
+        }
+        shown = {"code": str(error.reason), "message": error.message, "where": error.where}
+        sys.stdout.write(json.dumps({"error": shown, "clarification": asked}) + "\n")
+    else:
+        sys.stderr.write(f"{error.reason}: {error.question} (at {error.field})\n")
+        sys.stderr.writelines(f"  {candidate}\n" for candidate in error.candidates)
+    return 3
 
 
 def exit_code(error: AuthGuardError) -> int:

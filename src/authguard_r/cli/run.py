@@ -174,15 +174,22 @@ def stop_command(
     robot: Annotated[str | None, typer.Option("--robot", help="Which gate.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Brake and hold, without decision or mission; recorded afterwards."""
+    """Record an operator's stop: the active mission goes on only after a signed `resume`.
+
+    It reaches no robot: the symbolic one lives only while `run` does.
+    """
     from authguard_r.assembly import offline_gate
 
     gate = offline_gate(trust, load_site(site), rid=gate_robot(trust, robot), store=store)
     try:
-        gate.enforcer.stop(by="operator", is_planner=False)
+        gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     finally:
         gate.close()
-    emit({"stopped": True}, ["stopped; leaving an operator's stop needs `resume`"], as_json=as_json)
+    emit(
+        {"stopped": True},
+        ["stopped; the mission goes on after `authguard mission resume`"],
+        as_json=as_json,
+    )
     return 0
 
 

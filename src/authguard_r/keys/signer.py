@@ -2,7 +2,7 @@
 """Private keys in files.
 
 Implements the core's `Signer`. Plain PKCS8 files with mode 0600: for services and demos; a
-person's key belongs in hardware or in an encrypted envelope (docs/LIMITATIONS.md).
+person's key belongs in hardware or in an encrypted envelope (LIMITATIONS.md).
 """
 
 from __future__ import annotations

@@ -17,9 +17,16 @@ from msgspec import Struct
 
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.identifiers import ActionType, Digest, Identifier, Integer, ToolId
+from authguard_r.core.identifiers import (
+    ActionType,
+    Digest,
+    Identifier,
+    Integer,
+    ParameterId,
+    ToolId,
+)
 from authguard_r.core.reasons import Reason
-from authguard_r.site.model import Site
+from authguard_r.site.model import ActionModel, Site
 
 #: Longest `per_unit`, in characters.
 MAX_FACTOR = 20
@@ -98,6 +105,8 @@ def require_sound(binding: Binding, site: Site) -> None:
     if binding.site != site.id:
         raise MalformedError(f"expected a binding for `{site.id}`", where="site")
     for name, tool in binding.tools.items():
+        if not all(word.isascii() for word in (name, *tool.arguments)):
+            raise MalformedError("expected names in ASCII", where=f"tools.{name!a}")
         for place, fault in _faults(tool, site):
             where = f"tools.{name}.{place}"
             raise MalformedError(fault, where=where, reason=Reason.SCHEMA_INVALID)
@@ -110,6 +119,7 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
         return
     wanted = {*kind.fields, *(f"params.{name}" for name in kind.params)}
     origins: list[str] = [*tool.fixed, *tool.attested]
+    yield from _settled_faults(tool, kind, site)
     for name, argument in tool.arguments.items():
         if (argument.use is Use.MAPPED) != bool(argument.to):
             yield f"arguments.{name}.to", "expected a target exactly when it is mapped"
@@ -130,6 +140,32 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     missing = sorted(required.difference(origins))
     if missing and not kind.state_writing:
         yield "arguments", f"expected an origin for `{missing[0]}`"
+
+
+def _settled_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterator[tuple[str, str]]:
+    """Values that nobody proposes must be such as the field or parameter can have."""
+    settled = [(f"fixed.{target}", target, value) for target, value in tool.fixed.items()]
+    settled += [
+        (f"arguments.{name}.default", argument.to, argument.default)
+        for name, argument in tool.arguments.items()
+        if argument.default is not None
+    ]
+    for place, target, value in settled:
+        if not _is_value(value, target, kind, site):
+            yield place, f"expected a value that `{target}` can have"
+
+
+def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> bool:
+    """True when a settled value is one that the field or parameter can have."""
+    if target.startswith("params."):
+        parameter = kind.params.get(ParameterId(target.removeprefix("params.")))
+        return (
+            parameter is not None
+            and isinstance(value, int)
+            and parameter.low <= value <= parameter.high
+        )
+    known = site.objects if target == "object" else site.regions
+    return value in known
 
 
 def _is_factor(text: str) -> bool:

@@ -419,6 +419,7 @@ def test_every_default_of_a_mission_written_out_is_not_canonical() -> None:
 
 
 def test_the_longest_object_is_accepted_and_one_byte_more_is_not() -> None:
+    assert MAX_BYTES == 1_048_576  # docs/spec/encoding.md
     longest = b'"' + b"a" * (MAX_BYTES - 2) + b'"'
     assert len(decode(longest, str)) == MAX_BYTES - 2
     error = refused(b'"' + b"a" * (MAX_BYTES - 1) + b'"', Reason.MALFORMED, str)

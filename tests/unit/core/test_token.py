@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from datetime import timedelta
 from functools import cache
@@ -16,7 +17,16 @@ from hypothesis import strategies as st
 
 import worlds
 from authguard_r.assembly import folder_signer, folder_trust
-from authguard_r.core.encoding import MAX_BYTES, Tag, b64, digest, encode, encode_fast, unb64
+from authguard_r.core.encoding import (
+    MAX_BYTES,
+    Tag,
+    b64,
+    decode,
+    digest,
+    encode,
+    encode_fast,
+    unb64,
+)
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
 from authguard_r.core.mission import Closing, Guard, Limit, Mission, Row
 from authguard_r.core.ports import Signer
@@ -708,6 +718,114 @@ def test_a_signed_mission_that_breaks_one_rule_is_schema_invalid_in_its_place(
 def test_a_signed_mission_that_just_keeps_the_rule_is_accepted(make: Callable[[], Mission]) -> None:
     value = make()
     assert verified(sign_object(value, Tag.MISSION, signer())).mission == value
+
+
+def plain_mission(path: str, value: Any) -> bytes:
+    """Return the mission's canonical bytes with the value at a path replaced."""
+    whole = json.loads(encode(mission()))
+    *steps, last = (int(step) if step.isdecimal() else step for step in path.split("."))
+    inner = whole
+    for step in steps:
+        inner = inner[step]
+    inner[last] = value
+    return encode_fast(whole)
+
+
+GRANT, ROW = (
+    {"chooser": "planner", "irreversible": False, "max_ms": 1, "repeat": 1, "starts": 1},
+    {"regions": ["a"]},
+)
+#: The last value that the types of docs/spec/mission-language.md allow, and the first that they
+#: do not.
+BOUNDS: dict[str, tuple[Any, Any]] = {
+    "version": (1, 0),
+    "mid": ("a" * 64, "a" * 65),
+    "rid": ("0", ""),
+    "issuer": ("a_.:-", "_a"),
+    "profile": ("-_" * 21 + "A", "A" * 42),
+    "site": ("A" * 43, "A" * 42 + "="),
+    "nonce": ("_" * 22, "A" * 23),
+    "task": ("x", ""),
+    "place_max_age_ms": (0, -1),
+    "on_refusal": ("ask", "retry"),
+    "not_before": ("0001-01-01T00:00:00Z", "2030-01-01T00:00:00.5Z"),
+    "expiry": ("9999-12-31T23:59:59Z", "2030-01-01T00:00:00+00:00"),
+    "objects": ([], None),
+    "guards": ([], {}),
+    "risk_policy.t": (2, 1),
+    "risk_policy.tau_2": (2**53 - 1, 2**53),
+    "risk_policy.privacy": (0, -1),
+    "risk_policy.valid_ms": (1, 0),
+    "risk_policy.otherwise": (0, True),
+    "risk_policy.roles": (["a"], []),
+    "risk_policy.types": ({"a": 0}, {"a": -1}),
+    "risk_policy.parameters.0.full_scale": (1, 0),
+    "budgets.actions": (0, -1),
+    "budgets.prompts": (0, "0"),
+    "budgets.rate.count": (1, 0),
+    "budgets.rate.per_ms": (1, 0),
+    "closing.for_ms": (1, 0),
+    "closing.grants": (["look-out"], []),
+    "actions.0.repeat": (1, 0),
+    "actions.0.starts": (1, 0),
+    "actions.0.max_ms": (1, 0),
+    "actions.0.chooser": ("planner", "model"),
+    "actions.0.irreversible": (True, 1),
+    "actions.0.limits.0.low": (-(2**53) + 1, -(2**53)),
+    "guards.0.comparison": ("ne", "like"),
+    "guards.0.value": ("nothing", "Nothing"),
+    "guards.0.max_age_ms": (0, -1),
+}
+
+
+@pytest.mark.parametrize(("path", "values"), BOUNDS.items(), ids=BOUNDS)
+def test_each_field_of_a_mission_ends_where_its_type_ends(
+    path: str, values: tuple[Any, Any]
+) -> None:
+    last, beyond = values
+    assert decode(plain_mission(path, last), Mission)
+    with pytest.raises(MalformedError) as caught:
+        decode(plain_mission(path, beyond), Mission)
+    assert caught.value.reason is Reason.MALFORMED
+    place = re.sub(r"\.(\d+)", r"[\1]", path)
+    assert caught.value.where in {place, f"{place}[...]"}
+
+
+def test_a_task_a_grant_list_and_a_row_list_end_at_their_longest() -> None:
+    rows = [{"object": f"p{n}"} for n in range(257)]
+    one = {**GRANT, "alternatives": [ROW], "data": {}, "tool": "y", "type": "x"}
+    actions = [{**one, "id": f"g{n}"} for n in range(65)]
+    for path, longest, beyond in (
+        ("task", "x" * 2000, "x" * 2001),
+        ("actions", actions[:64], actions),
+        ("actions", actions[:1], []),
+        ("actions.0.alternatives", rows[:256], rows),
+        ("actions.0.alternatives", rows[:1], []),
+        ("risk_policy.t", 64, 65),
+    ):
+        assert decode(plain_mission(path, longest), Mission)
+        with pytest.raises(MalformedError) as caught:
+            decode(plain_mission(path, beyond), Mission)
+        assert caught.value.reason is Reason.MALFORMED
+
+
+def test_what_was_verified_cannot_be_changed_afterwards() -> None:
+    found = verified(sign_object(mission(), Tag.MISSION, signer()))
+    for value, field in (
+        (found, "expiry_ms"),
+        (found.mission, "rid"),
+        (found.mission.actions[0], "starts"),
+        (found.mission.actions[0].alternatives[0], "destination"),
+        (found.mission.limits[0], "high"),
+        (found.mission.budgets, "actions"),
+        (found.mission.risk_policy, "tau_1"),
+        (found.issuer, "role"),
+        (found.grants[0], "grant"),
+        (token(), "payload"),
+        (token().endorsements[0], "chain"),
+    ):
+        with pytest.raises(AttributeError):
+            setattr(value, field, None)
 
 
 def test_a_schema_fault_is_named_only_after_the_signature_held() -> None:

@@ -115,13 +115,18 @@ def test_the_product_s_own_builders_make_chains_that_walk(role: Role) -> None:
     assert (found.principal, found.role) == ("gate-1", role)
     assert (found.robot, found.profile) == ("courier-1", DIGEST)
     assert found.not_after_ms == NOW.utc_ms + 9 * chains.DAY_MS
-    # what the test's own certificates say, the product's say too
-    for certificate, expected in ((leaf, False), (issuer, True), (root, True)):
-        basic = certificate.extensions.get_extension_for_class(x509.BasicConstraints)
-        assert (basic.critical, basic.value.ca) == (True, expected)
-    roles = leaf.extensions.get_extension_for_class(x509.ExtendedKeyUsage)
-    assert (roles.critical, list(roles.value)) == (True, [OIDS[role]])
     assert len({cert.serial_number for cert in (root, issuer, leaf)}) == 3
+    # exactly these extensions, so that other validators are told the same
+    names = san(PRINCIPAL + "gate-1", ROBOT + "courier-1", PROFILE + DIGEST)
+    expected: list[tuple[x509.Certificate, list[chains.Extra]]] = [
+        (root, [(chains.ROOT_BASIC, True), chains.CERTIFIES]),
+        (issuer, [(chains.AUTHORITY_BASIC, True), chains.CERTIFIES, (eku(role), True)]),
+        (leaf, [(chains.LEAF_BASIC, True), chains.SIGNS, (eku(role), True), (names, False)]),
+    ]
+    for certificate, extensions in expected:
+        found_extensions = [(one.value, one.critical) for one in certificate.extensions]
+        assert found_extensions == extensions
+        assert certificate.not_valid_before_utc == start
 
 
 @pytest.mark.parametrize("shortest", ["leaf", "authority", "root"])

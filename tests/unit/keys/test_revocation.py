@@ -107,6 +107,11 @@ def test_bytes_that_are_no_signed_list_are_malformed(data: bytes) -> None:
     assert caught.value.where.startswith(WHERE)
 
 
+def test_a_field_beside_payload_and_signature_is_refused() -> None:
+    plain = msgspec.json.decode(sign_list(revocation(), KEY))
+    refused(encode({**plain, "alg": "none"}), Reason.MALFORMED)
+
+
 def test_an_empty_signature_does_not_hold() -> None:
     refused(b'{"payload":"","signature":""}', Reason.SIGNATURE_INVALID)
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.parse import (
+    MAX_CALLS,
     MAX_DEPTH,
     MAX_NUMBER,
     MAX_TEXT,
@@ -38,6 +39,11 @@ def refused_calls(text: str, at: int) -> MalformedError:
         read_calls(text)
     assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, f"input[{at}]")
     return caught.value
+
+
+def test_the_limits_are_the_ones_of_the_spec() -> None:
+    """docs/spec/normalize.md, "Input"."""
+    assert (MAX_TEXT, MAX_DEPTH, MAX_CALLS, MAX_NUMBER) == (262_144, 32, 256, 40)
 
 
 # -- text ------------------------------------------------------------------------------------------
