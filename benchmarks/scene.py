@@ -246,7 +246,7 @@ def bench(store: Store, *, trust: Any = None) -> Bench:
 
 def command(bench_: Bench, mid: str, digest: Digest, verb: str) -> bytes:
     """Return an operator's signed command about a mission's first version."""
-    from authguard_r.management import Command, Verb
+    from authguard_r.commands import Command, Verb
 
     order = Command(
         verb=Verb(verb),
