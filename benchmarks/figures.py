@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from durable import LENGTHS
-from measure import Timing, difference, ratio
+from measure import Timing, difference, ratio, steady
 
 
 class Figure(NamedTuple):
@@ -17,9 +17,10 @@ class Figure(NamedTuple):
         what: for people.
         value: a ratio, or a time in `unit`.
         unit: `x`, `ms`, `us` or empty for a truth value.
+        of: the timings that it comes from.
         target: the most that meets it; None for a number that is only shown.
         moonshot: what would be better still.
-        of: the timings that it comes from.
+        steady: False when the blocks differ so much that the number says little.
     """
 
     id: str
@@ -29,12 +30,15 @@ class Figure(NamedTuple):
     of: tuple[str, ...]
     target: float | bool | None = None
     moonshot: float | None = None
+    steady: bool = True
 
     @property
     def meets(self) -> bool | None:
-        """True when it meets its target, None when there is none."""
+        """True when it meets its target, None when there is none; not to be told is not to meet."""
         if self.target is None:
             return None
+        if not self.steady:
+            return False
         if isinstance(self.target, bool):
             return self.value is self.target
         return self.value <= self.target
@@ -206,7 +210,8 @@ def _ratio(
     moonshot: float | None = None,
 ) -> Figure:
     value = ratio(timings[of[0]], timings[of[1]])
-    return Figure(key, what, value, "x", of, target, moonshot)
+    calm = steady(*(timings[name] for name in of))
+    return Figure(key, what, value, "x", of, target, moonshot, calm)
 
 
 def _net(
@@ -218,4 +223,5 @@ def _net(
     target: float | None = None,
 ) -> Figure:
     value = difference(timings[of[0]], timings[of[1]]) / 1e6
-    return Figure(key, what, value, "ms", of, target)
+    calm = steady(*(timings[name] for name in of))
+    return Figure(key, what, value, "ms", of, target, steady=calm)

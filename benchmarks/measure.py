@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 #: A timing is worth quoting from this many blocks on.
 LEAST_BLOCKS = 5
+#: A block whose median is so many times another's was measured on another machine, so to speak.
+MOST_SPREAD = 2.0
 
 
 class Subject(NamedTuple):
@@ -99,6 +101,11 @@ def interleave(subjects: list[Subject], effort: Effort) -> dict[str, Timing]:
             for name, samples in _block(order, effort).items():
                 blocks[name].append(samples)
     return {name: _timing(samples) for name, samples in blocks.items()}
+
+
+def steady(*timings: Timing) -> bool:
+    """True when no block's median is far from the others: else somebody else used the machine."""
+    return all(max(t.medians) <= MOST_SPREAD * min(t.medians) for t in timings)
 
 
 def ratio(one: Timing, other: Timing) -> float:

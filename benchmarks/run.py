@@ -22,16 +22,16 @@ from figures import figures
 from measure import Effort, Timing
 
 FULL = {
-    "decisions": Effort(blocks=11, calls=1_500, stretch=25, warm_up=300),
-    "tokens": Effort(blocks=11, calls=400, stretch=5, warm_up=50),
-    "parts": Effort(blocks=11, calls=1_000, stretch=25, warm_up=200),
+    "decisions": Effort(blocks=11, calls=1_500, stretch=100, warm_up=300),
+    "tokens": Effort(blocks=11, calls=400, stretch=20, warm_up=50),
+    "parts": Effort(blocks=11, calls=1_000, stretch=100, warm_up=200),
     "turns": Effort(blocks=11, calls=400, warm_up=500),
     "plans": Effort(blocks=7, calls=300, warm_up=10),
 }
 QUICK = {
-    "decisions": Effort(blocks=5, calls=500, stretch=25, warm_up=100),
-    "tokens": Effort(blocks=5, calls=150, stretch=5, warm_up=20),
-    "parts": Effort(blocks=5, calls=400, stretch=25, warm_up=100),
+    "decisions": Effort(blocks=5, calls=500, stretch=100, warm_up=100),
+    "tokens": Effort(blocks=5, calls=160, stretch=20, warm_up=20),
+    "parts": Effort(blocks=5, calls=400, stretch=100, warm_up=100),
     "turns": Effort(blocks=5, calls=150, warm_up=400),
     "plans": Effort(blocks=5, calls=100, warm_up=5),
 }

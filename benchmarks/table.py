@@ -55,6 +55,7 @@ def _targets(results: dict[str, Any]) -> str:
             target += f" (moonshot {_value(figure['moonshot'], figure['unit'])})"
         measured = _value(figure["value"], figure["unit"])
         meets = "yes" if figure["meets"] else "**no**"
+        meets += "" if figure["steady"] else " (unsteady machine: run it again)"
         lines.append(f"| {figure['what']} | {measured} | {target} | {meets} |")
     return "\n".join(lines)
 
@@ -62,7 +63,8 @@ def _targets(results: dict[str, Any]) -> str:
 def _shown(results: dict[str, Any]) -> str:
     lines = ["| also measured | |", "|---|---:|"]
     lines += [
-        f"| {figure['what']} | {_value(figure['value'], figure['unit'])} |"
+        f"| {figure['what']} | {_value(figure['value'], figure['unit'])}"
+        f"{'' if figure['steady'] else ' (unsteady)'} |"
         for figure in results["figures"]
         if figure["target"] is None
     ]

@@ -132,6 +132,7 @@ def assemble(
         ledger, intake, facts=facts, safety=safety, controller=controller, clock=clock
     )
     management = Management(ledger, intake, verifier=trust, facts=facts)
+    enforcer.before_first(management.recover)
     return Gate(enforcer=enforcer, management=management, ledger=ledger, facts=facts, trust=trust)
 
 

@@ -59,6 +59,7 @@ from authguard_r.report import (
     outcome_entry,
     refusal_entry,
     stop_entry,
+    suspension_entry,
 )
 
 T = TypeVar("T")
@@ -94,6 +95,11 @@ class Enforcer:
         self._safety = safety
         self._controller = controller
         self._clock = clock
+        self._first: Callable[[], object] = lambda: None
+
+    def before_first(self, act: Callable[[], object]) -> None:
+        """Do this before the first proposal is decided: recovery, when a gate starts."""
+        self._first = act
 
     def propose(
         self, step: Step, *, planner: Identifier, evidence: Digest, context: ContextLedger
@@ -115,6 +121,8 @@ class Enforcer:
             return judged, act.record(decision_entry(judged, influences))
 
         try:
+            self._first()
+            self._first = lambda: None
             self.intake.refresh()
             judged, seq = self._ledger.run(job)
         except AuthGuardError as error:
@@ -149,6 +157,7 @@ class Enforcer:
         suspended = advance(standing, Event.SUSPEND) if standing is not None else None
         if suspended is not None:
             act.hold(suspended)
+            act.record(suspension_entry(suspended.mid, act.now))
 
     def _count_stop(self, act: Act) -> None:
         """Count a stop that the planner asked for; past its budget, alert the operator."""

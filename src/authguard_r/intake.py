@@ -61,7 +61,6 @@ class Intake:
         self._seen: bytes | None = None
         held = ledger.peek("state", "last")
         self._last = (-1, -1) if held is None else read_held(held, tuple[int, int], "state")
-        self._kept = self._last
 
     @property
     def state(self) -> AttestedState | None:
@@ -95,9 +94,7 @@ class Intake:
 
     def keep_order(self, act: Act) -> None:
         """Hold which snapshot was the last, so that a restart does not take an old one for new."""
-        if self._last != self._kept:
-            act.put("state", "last", encode_fast(self._last))
-            self._kept = self._last
+        act.put("state", "last", encode_fast(self._last))
 
     def active_mission(self, act: Act) -> VerifiedMission:
         """Return the one active mission, verified once and kept by the digest of its bytes.

@@ -22,7 +22,7 @@ from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, MissionId, PrincipalId
 from authguard_r.core.lifecycle import TERMINAL, Event, Status
-from authguard_r.core.mission import Grant
+from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.ports import Verifier
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.reasons import Reason
@@ -117,7 +117,8 @@ class Management:
         """After an unclean stop: settle what attested state settles, suspend for the rest.
 
         A release without an outcome may have happened or not. `done_when`, attested, says that it
-        succeeded; else the mission waits, suspended, for a signed `resolve`.
+        succeeded; else the mission waits, suspended, for a signed `resolve`. A mission that is
+        closing goes on closing: what is in flight counts as used.
 
         Returns:
             Tickets that only a person can settle.
@@ -267,8 +268,11 @@ class Management:
     def _carried_out(
         act: Act, command: Command, standing: Standing, verified: VerifiedMission
     ) -> Standing | None:
+        if command.verb is Verb.RESUME and standing.open:
+            return None  # what nobody knows is resolved first
         if command.verb is not Verb.RESOLVE:
-            return advance(standing, EVENTS[command.verb])
+            after = advance(standing, EVENTS[command.verb])
+            return None if after is None else _completed(after, verified.mission, act)
         if command.ticket is None or command.outcome in {None, Outcome.UNKNOWN}:
             return None
         if all(release.ticket != command.ticket for release in standing.open):
@@ -280,8 +284,7 @@ class Management:
             outcome=Outcome(command.outcome),
             used=_reserved(standing, command.ticket),
         )
-        done = after.status is Status.ACTIVE and is_complete(after, verified.mission)
-        return finish(after, verified.mission, act.now) if done else after
+        return _completed(after, verified.mission, act)
 
     def _select(self, act: Act, token: bytes) -> Standing:
         selection, signer = open_selection(token, verifier=self._verifier, now=act.now)
@@ -321,8 +324,7 @@ class Management:
                 )
         if standing.open:
             standing = advance(standing, Event.SUSPEND) or standing
-        elif standing.status is Status.ACTIVE and is_complete(standing, verified.mission):
-            standing = finish(standing, verified.mission, act.now)
+        standing = _completed(standing, verified.mission, act)
         act.hold(standing)
         opened = {"verb": "recover", "status": standing.status, "unknown": len(standing.open)}
         act.record(_entry(act, standing.mid, opened))
@@ -333,6 +335,13 @@ class Management:
         return bool(grant.done_when) and all(
             guard_finding(guard, state, rid, act.now) is None for guard in grant.done_when
         )
+
+
+def _completed(standing: Standing, mission: Mission, act: Act) -> Standing:
+    """Return the standing, finished when the last success is in and nothing holds it back."""
+    if standing.status is Status.ACTIVE and is_complete(standing, mission):
+        return finish(standing, mission, act.now)
+    return standing
 
 
 def _may_choose(grant: Grant, signer: Principal, issuer: PrincipalId) -> bool:

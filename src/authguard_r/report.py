@@ -203,6 +203,12 @@ def stop_entry(by: Identifier, *, is_planner: bool) -> Callable[[int], Entry]:
     )
 
 
+def suspension_entry(mid: MissionId, now: Now) -> Entry:
+    """Return the record of a mission that an operator's stop suspended."""
+    opened = {"verb": "suspend", "by": "stop", "status": "suspended"}
+    return Entry(kind="management", time_ms=now.utc_ms, decision="suspend", mid=mid, open=opened)
+
+
 def alert_entry(what: str, mid: MissionId, now: Now) -> Entry:
     """Return the record of an alert; it changes no authority."""
     return Entry(kind="alert", time_ms=now.utc_ms, decision="alert", mid=mid, open={"what": what})

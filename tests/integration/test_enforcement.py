@@ -144,7 +144,7 @@ def test_state_that_turns_bad_between_commit_and_dispatch_is_not_started() -> No
 
     def refresh() -> Any:
         calls.append(1)
-        if len(calls) == 2:
+        if len(calls) == 3:  # recovery, decision, the look before dispatch
             sim.robot.state = worlds.world("office-1")
             sim.robot.pause(50)
         return first()
@@ -306,7 +306,7 @@ def test_an_outcome_that_cannot_be_recorded_leaves_the_release_open(tmp_path: Pa
 
     def fails_at_the_outcome(job: Any) -> Any:
         count.append(1)
-        if len(count) == 2:
+        if len(count) == 3:  # recovery, decision, outcome
             raise StoreError("gone")
         return run(job)
 
@@ -339,7 +339,7 @@ def test_a_postcondition_settles_an_unknown_outcome() -> None:
 
     def fails_at_the_outcome(job: Any) -> Any:
         count.append(1)
-        if len(count) == 2:
+        if len(count) == 3:  # recovery, decision, outcome
             raise StoreError("gone")
         return run(job)
 
@@ -576,3 +576,128 @@ def test_time_never_runs_backwards_and_a_late_clock_is_a_fault() -> None:
     assert records(sim, "refusal")[-1].open["reasons"] == ["CLOCK_BEHIND"]
     sim.gate.enforcer.stop(by="operator", is_planner=False)
     assert sim.robot.stops == 1
+
+
+def test_an_operators_stop_suspends_until_a_signed_resume() -> None:
+    sim = ready()
+    sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
+    report = worlds.propose(sim, GO)
+    assert [str(r) for r in report.judged.decision.reasons] == ["MISSION_SUSPENDED"]
+    assert records(sim, "management")[-1].link.decision == "suspend"
+    sim.gate.management.command(order(Verb.RESUME, "go-on"))
+    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    idle = worlds.simulation()
+    idle.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
+    assert idle.robot.stops == 1
+
+
+def test_a_mission_is_not_resumed_while_nobody_knows_what_happened() -> None:
+    sim = ready()
+    run, count = sim.gate.ledger.store.run, []
+
+    def fails_at_the_outcome(job: Any) -> Any:
+        count.append(1)
+        if len(count) == 3:
+            raise StoreError("gone")
+        return run(job)
+
+    sim.gate.ledger.store.run = fails_at_the_outcome
+    worlds.propose(sim, GO)
+    sim.gate.ledger.store.run = run
+    sim.gate.management.recover()
+    with pytest.raises(AuthGuardError, match="TRANSITION_REFUSED"):
+        sim.gate.management.command(order(Verb.RESUME, "too-soon"))
+
+
+def test_a_gate_that_starts_recovers_before_its_first_decision(tmp_path: Path) -> None:
+    sim = ready(store=tmp_path / "robot.db")
+    run, count = sim.gate.ledger.store.run, []
+
+    def dies_before_the_outcome(job: Any) -> Any:
+        count.append(1)
+        if len(count) == 3:
+            raise StoreError("killed")
+        return run(job)
+
+    sim.gate.ledger.store.run = dies_before_the_outcome
+    worlds.propose(sim, GO)
+    sim.gate.close()
+    again = worlds.simulation(
+        store=tmp_path / "robot.db",
+        start=worlds.world("pharmacy"),
+        start_ms=worlds.START_MS + 300_000,
+    )
+    pick = worlds.Action(
+        type="pick", tool="gripper", object="package-p1", source="pharmacy", params={"force_mn": 9}
+    )
+    report = worlds.propose(again, pick)
+    assert "MISSION_SUSPENDED" in [str(r) for r in report.judged.decision.reasons]
+    again.gate.close()
+
+
+@pytest.mark.parametrize("how", ["expired", "closed"])
+def test_what_time_ended_does_not_stand_in_the_way_of_the_next_mission(how: str) -> None:
+    sim = ready()
+    if how == "closed":
+        first = sim.gate.management.standing("deliver-p1")
+        ending = msgspec.structs.replace(first, status="closing", closes_ms=worlds.START_MS + 1)
+        ending = msgspec.convert(msgspec.to_builtins(ending), type(first))
+        sim.gate.ledger.run(lambda act: act.hold(ending))
+    else:
+        sim.robot.pause(26 * 60_000)
+    sim.robot.pause(1_000)
+    draft = worlds.draft(mission="deliver-again", window={"for": "2 h"})
+    mission = worlds.mission(**draft)
+    assert sim.gate.management.activate(worlds.token(mission)).status == "active"
+    ended = sim.gate.management.standing("deliver-p1").status
+    assert ended == ("completed" if how == "closed" else "expired")
+
+
+def test_a_choice_is_taken_in_once() -> None:
+    sim, mission = ready(), worlds.mission()
+    value = Selection(
+        mid=mission.mid,
+        version=1,
+        mission=digest_of(Tag.MISSION, mission),
+        grant="pick-p1",
+        row=0,
+        nonce="AA",
+        expires_ms=worlds.START_MS + 10**6,
+    )
+    signer = worlds.folder_signer(worlds.trust_folder(), "operator-1")
+    token = sign_object(value, Tag.SELECTION, signer)
+    sim.gate.management.select(token)
+    with pytest.raises(AuthGuardError, match="EXPIRED"):
+        sim.gate.management.select(token)
+
+
+def test_an_approver_who_was_revoked_since_does_not_count(bench: Any) -> None:
+    scene = restricted(bench)
+    outcome(scene)
+    approve(bench, scene, "supervisor-1", "supervisor-2")
+    intake = scene.sim.gate.enforcer.intake
+
+    class Revoked:
+        def verify(self, *_: Any, **__: Any) -> Any:
+            raise AuthGuardError("revoked", reason=Reason.CERTIFICATE_REVOKED) from None
+
+    from authguard_r.core.errors import AuthenticityError
+
+    class Dead(Revoked):
+        def verify(self, *_: Any, **__: Any) -> Any:
+            raise AuthenticityError("revoked", reason=Reason.CERTIFICATE_REVOKED)
+
+    standing = scene.standing()
+    intake._verifier = Dead()
+    assert scene.sim.gate.ledger.run(lambda act: intake.answers(act, standing)).approvals == ()
+
+
+def test_an_old_snapshot_is_not_new_after_a_restart(tmp_path: Path) -> None:
+    sim = ready(store=tmp_path / "robot.db")
+    worlds.propose(sim, GO)
+    old = sim.robot.latest()
+    sim.gate.close()
+    again = worlds.simulation(store=tmp_path / "robot.db", start_ms=worlds.START_MS + 300_000)
+    again.robot.latest = lambda: old
+    assert again.gate.enforcer.intake.refresh() is None
+    again.gate.close()

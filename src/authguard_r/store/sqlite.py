@@ -190,6 +190,8 @@ class SqliteStore:
         try:
             if self._connection.in_transaction:
                 self._connection.execute("ROLLBACK")
+            # an interrupt can come when the commit is done: what counts is what is there
+            self._turn.size, self._turn.link = _read_head(self._connection)
         except apsw.Error:  # pragma: no cover - nothing was committed either way
             pass
 
@@ -276,16 +278,16 @@ def _prepare(connection: apsw.Connection, path: Path) -> None:
     connection.set_busy_timeout(0)
     if connection.readonly("main"):
         raise apsw.ReadOnlyError("it was opened without the right to write")
-    # looked at before anything is written: what is not ours is left alone
-    fresh = _is_empty(connection)
-    if not fresh:
-        _require_format(connection, path)
+    # before the first page is read, so that the index of the WAL is never in shared memory
     connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
+    # looked at before anything is written: what is not ours is left alone
+    if not _is_empty(connection):
+        _require_format(connection, path)
     connection.execute("PRAGMA journal_mode = WAL").fetchall()
     connection.execute("PRAGMA synchronous = FULL")
     # taking the exclusive lock now, not at the first decision
     connection.execute("BEGIN IMMEDIATE")
-    if fresh:
+    if _is_empty(connection):  # again: now nobody else can make it
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {FORMAT}")
         connection.execute(_SCHEMA)

@@ -338,3 +338,17 @@ def test_an_instant_has_two_spellings_and_no_third() -> None:
         to_ms("2026-02-30T14:30:00Z", where="expiry")
     assert refused.value.where == "expiry"
     assert "MALFORMED" in str(refused.value)
+
+
+def test_a_tool_that_this_robot_does_not_have_exceeds_its_capability() -> None:
+    from cases import _plain, _with_action, _with_grant
+
+    case = _with_grant(_plain(Random(1)), tool="claw")
+    found = decide_case(_with_action(case, tool="claw")).findings
+    assert [(str(f.reason), f.field) for f in found] == [("CAPABILITY_EXCEEDED", "tool")]
+
+
+def test_what_the_decoder_reads_and_no_encoder_writes_is_not_canonical() -> None:
+    from authguard_r.core.encoding import _again
+
+    assert _again("\ud800") == b""
