@@ -317,6 +317,7 @@ class Enforcer:
                 if after.status is Status.ACTIVE and is_complete(after, mission):
                     after = finish(after, mission, act.now)
                 act.hold(after)
+            self.intake.keep_order(act)
             return act.record(outcome_entry(judged, outcome, findings, used, act.now))
 
         recorded = self._quietly(lambda: self._ledger.run(job)) is not None
