@@ -18,12 +18,12 @@ from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
 from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, digest_of
-from authguard_r.core.errors import AuthGuardError, ControllerError
+from authguard_r.core.errors import AuthGuardError, ControllerError, StoreError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Findings
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.lease import Lease, permit, still
-from authguard_r.core.lifecycle import Event, Status
+from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import Clock, Controller, Flight, SafetyGate
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now, to_timestamp
@@ -37,7 +37,6 @@ from authguard_r.core.standing import (
     close_request,
     count_planner_stop,
     finish,
-    is_complete,
     reserve,
     settle,
 )
@@ -312,11 +311,10 @@ class Enforcer:
 
         def job(act: Act) -> int:
             standing = act.standing(mission.mid)
-            if standing is not None:
-                after = settle(standing, mission, ticket=judged.ticket, outcome=outcome, used=used)
-                if after.status is Status.ACTIVE and is_complete(after, mission):
-                    after = finish(after, mission, act.now)
-                act.hold(after)
+            if standing is None:
+                raise StoreError("the registry's entry is gone", reason=Reason.STORE_CORRUPT)
+            after = settle(standing, mission, ticket=judged.ticket, outcome=outcome, used=used)
+            act.hold(finish(after, mission, act.now))
             self.intake.keep_order(act)
             return act.record(outcome_entry(judged, outcome, findings, used, act.now))
 

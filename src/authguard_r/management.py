@@ -22,7 +22,7 @@ from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, MissionId, PrincipalId
 from authguard_r.core.lifecycle import TERMINAL, Event, Status
-from authguard_r.core.mission import Grant, Mission
+from authguard_r.core.mission import Grant
 from authguard_r.core.ports import Verifier
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.reasons import Reason
@@ -33,7 +33,6 @@ from authguard_r.core.standing import (
     advance,
     carry_over,
     finish,
-    is_complete,
     issue,
     select,
     settle,
@@ -272,7 +271,7 @@ class Management:
             return None  # what nobody knows is resolved first
         if command.verb is not Verb.RESOLVE:
             after = advance(standing, EVENTS[command.verb])
-            return None if after is None else _completed(after, verified.mission, act)
+            return None if after is None else finish(after, verified.mission, act.now)
         if command.ticket is None or command.outcome in {None, Outcome.UNKNOWN}:
             return None
         if all(release.ticket != command.ticket for release in standing.open):
@@ -284,7 +283,7 @@ class Management:
             outcome=Outcome(command.outcome),
             used=_reserved(standing, command.ticket),
         )
-        return _completed(after, verified.mission, act)
+        return finish(after, verified.mission, act.now)
 
     def _select(self, act: Act, token: bytes) -> Standing:
         selection, signer = open_selection(token, verifier=self._verifier, now=act.now)
@@ -324,7 +323,7 @@ class Management:
                 )
         if standing.open:
             standing = advance(standing, Event.SUSPEND) or standing
-        standing = _completed(standing, verified.mission, act)
+        standing = finish(standing, verified.mission, act.now)
         act.hold(standing)
         opened = {"verb": "recover", "status": standing.status, "unknown": len(standing.open)}
         act.record(_entry(act, standing.mid, opened))
@@ -335,13 +334,6 @@ class Management:
         return bool(grant.done_when) and all(
             guard_finding(guard, state, rid, act.now) is None for guard in grant.done_when
         )
-
-
-def _completed(standing: Standing, mission: Mission, act: Act) -> Standing:
-    """Return the standing, finished when the last success is in and nothing holds it back."""
-    if standing.status is Status.ACTIVE and is_complete(standing, mission):
-        return finish(standing, mission, act.now)
-    return standing
 
 
 def _may_choose(grant: Grant, signer: Principal, issuer: PrincipalId) -> bool:

@@ -701,3 +701,60 @@ def test_an_old_snapshot_is_not_new_after_a_restart(tmp_path: Path) -> None:
     again.robot.latest = lambda: old
     assert again.gate.enforcer.intake.refresh() is None
     again.gate.close()
+
+
+def test_a_certificate_that_ended_stops_the_decision() -> None:
+    sim = ready()
+    worlds.propose(sim, worlds.navigate("dock", "office-1"))
+    kept = sim.gate.enforcer.intake._verified
+    for digest, verified in list(kept.items()):
+        issuer = msgspec.structs.replace(verified.issuer, usable_until_ms=worlds.START_MS - 1)
+        kept[digest] = msgspec.structs.replace(verified, issuer=issuer)
+    report = worlds.propose(sim, GO)
+    assert [str(r) for r in report.judged.decision.reasons] == ["CERTIFICATE_EXPIRED"]
+    assert report.judged.decision.match is None
+    assert records(sim, "decision")[-1].open["grant"] == "-"
+    assert sim.robot.trace == []
+
+
+def test_a_registry_entry_that_vanishes_under_way_is_no_recorded_outcome() -> None:
+    sim = ready()
+    pause = sim.robot.pause
+
+    def lose_the_entry(duration_ms: int) -> None:
+        pause(duration_ms)
+        sim.gate.ledger.store._held.pop(("standing", "deliver-p1"), None)
+
+    sim.robot.pause = lose_the_entry
+    report = worlds.propose(sim, GO)
+    assert not report.outcome_recorded
+
+
+def test_the_last_success_may_come_by_a_signed_word() -> None:
+    grants = [
+        {
+            **{k: v for k, v in g.items() if k != "done_when"},
+            "completes": g["id"] == "go-to-pharmacy",
+        }
+        for g in worlds.draft()["grants"]
+    ]
+    mission = worlds.mission(grants=grants, closing=None)
+    sim = worlds.simulation()
+    sim.gate.management.activate(worlds.token(mission))
+    run, count = sim.gate.ledger.store.run, []
+
+    def fails_at_the_outcome(job: Any) -> Any:
+        count.append(1)
+        if len(count) == 3:
+            raise StoreError("gone")
+        return run(job)
+
+    sim.gate.ledger.store.run = fails_at_the_outcome
+    worlds.propose(sim, GO)
+    sim.gate.ledger.store.run = run
+    (ticket,) = sim.gate.management.recover()
+    said = order(Verb.RESOLVE, "a", mission=mission, ticket=ticket, outcome=Outcome.SUCCEEDED)
+    assert sim.gate.management.command(said).status == "suspended"
+    assert (
+        sim.gate.management.command(order(Verb.RESUME, "b", mission=mission)).status == "completed"
+    )

@@ -224,7 +224,9 @@ def is_complete(standing: Standing, mission: Mission) -> bool:
 
 
 def finish(standing: Standing, mission: Mission, now: Now) -> Standing:
-    """Return the standing after completion: closing where the mission asks for it."""
+    """Return the standing, completed (or closing) when it is active and all is done."""
+    if standing.status is not Status.ACTIVE or not is_complete(standing, mission):
+        return standing
     closing = advance(standing, Event.BEGIN_CLOSING)
     if mission.closing is not None and closing is not None:
         return _with(closing, closes_ms=now.utc_ms + mission.closing.for_ms)

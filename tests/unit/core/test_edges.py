@@ -191,13 +191,18 @@ def test_a_mission_without_completing_grants_is_never_complete() -> None:
     assert not is_complete(worlds.active(VERIFIED), never)
 
 
-def test_a_mission_that_cannot_finish_stays_what_it_is() -> None:
-    revoked = advance(worlds.active(VERIFIED), Event.REVOKE)
+def test_a_mission_finishes_when_it_is_active_and_all_is_done() -> None:
+    from authguard_r.core.standing import Use
+
+    active = worlds.active(VERIFIED)
+    assert finish(active, MISSION, worlds.NOW) == active
+    done = SET(active, uses={"place-at-101": Use(starts=1, successes=1, last_success=1)})
+    revoked = advance(done, Event.REVOKE)
     assert revoked is not None
     assert finish(revoked, MISSION, worlds.NOW) == revoked
-    plain_end = finish(worlds.active(VERIFIED), SET(MISSION, closing=None), worlds.NOW)
+    plain_end = finish(done, SET(MISSION, closing=None), worlds.NOW)
     assert plain_end.status is Status.COMPLETED
-    closing = finish(worlds.active(VERIFIED), MISSION, worlds.NOW)
+    closing = finish(done, MISSION, worlds.NOW)
     assert (closing.status, closing.closes_ms) == (Status.CLOSING, worlds.NOW.utc_ms + 600_000)
 
 

@@ -75,3 +75,9 @@ def test_a_fixed_object_is_one_of_the_site() -> None:
 def test_names_are_ascii_because_canonical_bytes_sort_them() -> None:
     with pytest.raises(MalformedError, match="ASCII"):
         load("gö")
+
+
+def test_a_type_that_the_site_does_not_have_is_refused() -> None:
+    with pytest.raises(MalformedError) as refused:
+        load(type="dance")
+    assert refused.value.where == "tools.go.type"
