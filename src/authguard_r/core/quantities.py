@@ -36,7 +36,7 @@ def to_ms(timestamp: Timestamp, *, where: str) -> int:
         MalformedError: the text has the right shape but names no instant (`2026-02-30T...`).
     """
     try:
-        moment = datetime.strptime(timestamp, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+        moment = datetime.fromisoformat(timestamp)
     except ValueError as error:
         raise MalformedError(f"`{timestamp}` is not an instant", where=where) from error
     delta = moment - _EPOCH

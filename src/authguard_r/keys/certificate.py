@@ -66,6 +66,8 @@ class Leaf(Struct, frozen=True, kw_only=True):
         robot: for a gate or an estimator, the robot that it is bound to.
         profile: for a gate, the digest of that robot's capability profile.
         serial: its serial number, for revocation.
+        authority_serial: its authority's serial number, for revocation.
+        key: its public key, checked.
         not_after_ms: the end of the shorter-lived of leaf and authority.
     """
 
@@ -74,6 +76,8 @@ class Leaf(Struct, frozen=True, kw_only=True):
     robot: RobotId | None
     profile: Digest | None
     serial: int
+    authority_serial: int
+    key: Ed25519PublicKey
     not_after_ms: int
 
 
@@ -155,7 +159,7 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
     _require_issued(leaf, authority, where="certificate.leaf")
     _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
     _require_dates(leaf, now, where="certificate.leaf")
-    require_sound(leaf.public_key(), where="certificate.leaf")
+    key = require_sound(leaf.public_key(), where="certificate.leaf")
     roles = _roles(leaf, where="certificate.leaf")
     if len(roles) != 1 or not roles <= allowed:
         raise _bad("expected one role that its authority may give", "certificate.leaf")
@@ -168,6 +172,8 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
         robot=None if robot is None else RobotId(robot),
         profile=None if profile is None else Digest(profile),
         serial=leaf.serial_number,
+        authority_serial=authority.serial_number,
+        key=key,
         not_after_ms=int(end.timestamp()) * 1000,
     )
 

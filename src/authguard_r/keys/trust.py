@@ -12,13 +12,14 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
+from msgspec.structs import replace
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Principal
-from authguard_r.keys.certificate import Leaf, Role, is_demo, load, walk
+from authguard_r.keys.certificate import Leaf, Role, is_demo, walk
 from authguard_r.keys.ed25519 import require_signature, require_sound
 from authguard_r.keys.revocation import RevocationList, read_list
 
@@ -77,17 +78,9 @@ class Trust:
                 where="certificate",
             )
         leaf = walk(chain[0], chain[1], root=self.root, now=now)
-        authority_serial = load(chain[1], where="certificate.authority").serial_number
-        first = self._require_current(self._root_der, authority_serial, now)
+        first = self._require_current(self._root_der, leaf.authority_serial, now)
         second = self._require_current(chain[1], leaf.serial, now)
-        return Leaf(
-            principal=leaf.principal,
-            role=leaf.role,
-            robot=leaf.robot,
-            profile=leaf.profile,
-            serial=leaf.serial,
-            not_after_ms=min(leaf.not_after_ms, first, second),
-        )
+        return replace(leaf, not_after_ms=min(leaf.not_after_ms, first, second))
 
     def verify(
         self, message: bytes, *, signature: bytes, chain: tuple[bytes, ...], now: Now
@@ -100,10 +93,7 @@ class Trust:
         # (1) the certificate
         leaf = self.identify(chain, now)
         # (2) the signature
-        key = require_sound(
-            load(chain[0], where="certificate.leaf").public_key(), where="certificate.leaf"
-        )
-        require_signature(key, signature, message, where="signature")
+        require_signature(leaf.key, signature, message, where="signature")
         return Principal(id=leaf.principal, role=leaf.role, usable_until_ms=leaf.not_after_ms)
 
     def gate_identity(self, chain: tuple[bytes, ...], now: Now) -> tuple[RobotId, Digest]:

@@ -75,8 +75,11 @@ def test_a_good_chain_says_whose_it_is_what_it_may_sign_and_until_when() -> None
         robot=None,
         profile=None,
         serial=77,
+        authority_serial=found.authority_serial,
+        key=found.key,
         not_after_ms=NOW.utc_ms + 30 * chains.DAY_MS,
     )
+    assert found.authority_serial != found.serial
 
 
 @pytest.mark.parametrize("role", Role)

@@ -148,6 +148,15 @@ def test_a_set_up_works_from_a_day_before_until_its_days_are_over(
     assert caught.value.reason is reason
 
 
+def test_a_set_up_is_for_a_year_unless_said_otherwise(tmp_path: Path) -> None:
+    init_folder(tmp_path, MEMBERS[:1], now=TODAY)
+    signer = read_signer(
+        tmp_path / "keys" / "operator-1.key.pem", tmp_path / "keys" / "operator-1.cert.pem"
+    )
+    found = read_trust(tmp_path).identify(signer.chain, NOW)
+    assert found.not_after_ms == NOW.utc_ms + 364 * DAY_MS
+
+
 def test_a_list_written_later_revokes_a_member(folder: Path) -> None:
     keys = folder / "keys"
     signer = read_signer(keys / "operator-1.key.pem", keys / "operator-1.cert.pem")

@@ -220,6 +220,13 @@ def test_more_signers_than_are_remembered_are_each_who_they_are() -> None:
     for leaf in (*leaves, *leaves[:3]):
         found = trust.identify(house().chain(leaf), NOW)
         assert found.principal == chains.common_name(leaf.certificate.subject)
+        assert len(trust._identified) <= 256
+
+
+def test_a_chain_is_walked_once_as_long_as_nothing_changes() -> None:
+    trust = house().trust()
+    chain = house().chain(chains.leaf(house().people))
+    assert trust.identify(chain, NOW) is trust.identify(chain, Now(NOW.utc_ms + 1, 0))
 
 
 # -- signatures ------------------------------------------------------------------------------------

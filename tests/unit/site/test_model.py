@@ -70,6 +70,64 @@ def test_a_field_that_the_model_does_not_have_is_refused() -> None:
     assert caught.value.reason is Reason.MALFORMED
 
 
+def plain(path: str, value: Any) -> bytes:
+    """Return the site's canonical bytes with the value at a path replaced."""
+    whole = msgspec.json.decode(encode(worlds.site()))
+    *steps, last = path.split("/")
+    inner = whole
+    for step in steps:
+        inner = inner[step]
+    inner[last] = value
+    return encode(whole)
+
+
+@pytest.mark.parametrize(
+    ("path", "last", "beyond"),
+    [
+        ("version", 0, -1),
+        ("id", "a", "A"),
+        ("regions/dock/floor", -3, "1"),
+        ("regions/dock/points", [[0, 0]] * 3, [[0, 0]] * 2),
+        ("regions/dock/points", [[0, 0]] * 256, [[0, 0]] * 257),
+        ("regions/dock/approach", [0, 0], [0, 0, 0]),
+        ("objects/sharps-bin/mass_g", 0, -1),
+        ("robots/lifter-1/profile/max_speed_mm_s", 0, -1),
+        ("robots/lifter-1/profile/max_force_mn", 2**53 - 1, "40 N"),
+        ("vocabulary/wait/fields", ["route"], ["time"]),
+        ("vocabulary/take_photo/privacy", 1, -1),
+        ("vocabulary/take_photo/privacy", 3, 4),
+        ("vocabulary/wait/params/duration_ms/rounding", "position", "up"),
+    ],
+)
+def test_each_field_of_a_site_ends_where_its_type_ends(path: str, last: Any, beyond: Any) -> None:
+    assert decode(plain(path, last), Site)
+    with pytest.raises(MalformedError) as caught:
+        decode(plain(path, beyond), Site)
+    assert caught.value.reason is Reason.MALFORMED
+
+
+def test_no_privacy_impact_is_written_by_leaving_it_out() -> None:
+    with pytest.raises(MalformedError) as caught:
+        decode(plain("vocabulary/wait/privacy", 0), Site)
+    assert caught.value.reason is Reason.NOT_CANONICAL
+
+
+def test_a_site_cannot_be_changed_once_it_is_read() -> None:
+    site = worlds.site()
+    for value, field in (
+        (site, "version"),
+        (site.regions["dock"], "points"),
+        (site.objects["package-p1"], "kind"),
+        (site.robots["courier-1"], "profile"),
+        (site.robots["courier-1"].profile, "max_speed_mm_s"),
+        (site.vocabulary["navigate"], "moves"),
+        (site.vocabulary["navigate"].params["speed_mm_s"], "high"),
+        (site.doors[0], "at"),
+    ):
+        with pytest.raises(AttributeError):
+            setattr(value, field, None)
+
+
 # -- facts -----------------------------------------------------------------------------------------
 
 
