@@ -123,7 +123,7 @@ def assemble(
         rid, profile = trust.gate_identity(chain, Now(clock.wall_ms(), 0))
         facts = facts_of(site, rid=rid, profile=profile)
         first = {"site": facts.digest, "profile": profile, "demo": trust.demo, **genesis}
-        ledger = Ledger(store, clock, robot=rid, salts=salts, genesis=first)
+        ledger = Ledger(store, clock, robot=rid, salts=salts, genesis=first, inputs={"site": site})
     except BaseException:
         store.close()  # it was handed over; a gate that is not made holds nothing
         raise

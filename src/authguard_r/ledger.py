@@ -36,6 +36,7 @@ class Ledger:
         robot: whose ledger this is.
         salts: returns that many fresh random bytes.
         genesis: what the log's first record says of the gate and its site.
+        inputs: what replaying a decision needs beside the decision's own record.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class Ledger:
         robot: RobotId,
         salts: Callable[[int], bytes],
         genesis: dict[str, object],
+        inputs: dict[str, object] | None = None,
     ) -> None:
         self.store = store
         self._clock = clock
@@ -57,7 +59,7 @@ class Ledger:
         self._standings: dict[MissionId, tuple[int, Standing]] = {}
         self._turns = 0
         self._mirror = threading.Lock()
-        store.run(lambda turn: self._open(turn, genesis))
+        store.run(lambda turn: self._open(turn, genesis, inputs or {}))
 
     def mono_ms(self) -> int:
         """Return the monotonic clock, which goes on across restarts of the gate."""
@@ -138,7 +140,7 @@ class Ledger:
         """Let go of the store."""
         self.store.close()
 
-    def _open(self, turn: Turn, genesis: dict[str, object]) -> None:
+    def _open(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         held = turn.get("clock", "high")
         if held is not None:
             self._high = read_held(held, Now, "clock")
@@ -149,8 +151,9 @@ class Ledger:
                 time_ms=self._clock.wall_ms(),
                 decision="genesis",
                 open={"format": 1, "robot": self.robot, **genesis},
+                sealed=inputs,
             )
-            append(turn, entry, salts=b"")
+            append(turn, entry, salts=self._salts(16 * len(inputs)))
             turn.put("log", "robot", self.robot.encode("ascii"))
         elif turn.get("log", "robot") != self.robot.encode("ascii"):
             raise StoreError(

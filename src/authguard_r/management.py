@@ -9,6 +9,9 @@ give it: narrowing (suspend, revoke) by the issuer or any safety officer, wideni
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import msgspec
 
 from authguard_r.approvals import open_selection
@@ -18,10 +21,10 @@ from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.mission import binding_findings
 from authguard_r.core.encoding import Tag, encode_fast
-from authguard_r.core.errors import AuthGuardError, RefusedError
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, MissionId, PrincipalId
-from authguard_r.core.lifecycle import TERMINAL, Event, Status
+from authguard_r.core.lifecycle import REFUSAL, TERMINAL, Event, Status
 from authguard_r.core.mission import Grant
 from authguard_r.core.ports import Verifier
 from authguard_r.core.provenance import Chooser
@@ -40,6 +43,9 @@ from authguard_r.core.standing import (
 from authguard_r.core.token import Principal, VerifiedMission, open_token
 from authguard_r.intake import ISSUER_ROLES, Intake
 from authguard_r.ledger import Act, Ledger
+from authguard_r.report import refusal_entry
+
+T = TypeVar("T")
 
 
 class Management:
@@ -68,7 +74,7 @@ class Management:
             AuthenticityError: certificate or signature does not hold.
             AuthGuardError: with the reason that speaks against it; nothing was changed.
         """
-        return self._ledger.run(lambda act: self._activate(act, token))
+        return self._do(lambda act: self._activate(act, token))
 
     def command(self, token: bytes) -> Standing:
         """Carry out a signed command once.
@@ -76,7 +82,7 @@ class Management:
         Raises:
             AuthGuardError: malformed, not authentic, not allowed, or not possible now.
         """
-        return self._ledger.run(lambda act: self._command(act, token))
+        return self._do(lambda act: self._command(act, token))
 
     def select(self, token: bytes) -> Standing:
         """Take in a signed choice of one row.
@@ -84,7 +90,7 @@ class Management:
         Raises:
             AuthGuardError: malformed, not authentic, or not the chooser's to make.
         """
-        return self._ledger.run(lambda act: self._select(act, token))
+        return self._do(lambda act: self._select(act, token))
 
     def approve(self, token: bytes) -> VerifiedApproval:
         """Keep a signed answer to an approval request; whether it fits is decided at use.
@@ -106,7 +112,7 @@ class Management:
             act.record(_entry(act, item.approval.mid, opened))
             return item
 
-        return self._ledger.run(job)
+        return self._do(job)
 
     def standing(self, mid: MissionId) -> Standing | None:
         """Return a mission's standing as it is held."""
@@ -124,6 +130,17 @@ class Management:
         """
         self._intake.refresh()
         return self._ledger.run(self._recover)
+
+    def _do(self, job: Callable[[Act], T]) -> T:
+        """Carry an order out, or leave one record of why not; the world's faults leave none."""
+        try:
+            return self._ledger.run(job)
+        except EnvironmentFault:
+            raise
+        except AuthGuardError as error:
+            refused = error
+            self._ledger.note(lambda at: refusal_entry(refused, at))
+            raise
 
     def _activate(self, act: Act, token: bytes) -> Standing:
         verified = self._intake.verify_mission(token, act)
@@ -362,12 +379,7 @@ def _entry(
 
 
 def _replayed(known: Standing) -> AuthGuardError:
-    reason = {
-        Status.COMPLETED: Reason.MISSION_COMPLETED,
-        Status.REVOKED: Reason.REVOKED,
-        Status.EXPIRED: Reason.EXPIRED,
-        Status.SUPERSEDED: Reason.SUPERSEDED,
-    }.get(known.status, Reason.TRANSITION_REFUSED)
+    reason = REFUSAL.get(known.status, Reason.TRANSITION_REFUSED)
     return _refuse(reason, f"`{known.mid}` version {known.version} is here and {known.status}")
 
 

@@ -758,3 +758,49 @@ def test_the_last_success_may_come_by_a_signed_word() -> None:
     assert (
         sim.gate.management.command(order(Verb.RESUME, "b", mission=mission)).status == "completed"
     )
+
+
+@pytest.mark.parametrize(
+    ("token", "reason"),
+    [
+        (b"junk", "MALFORMED"),
+        (b"", "MALFORMED"),
+        ("cut", "MALFORMED"),
+        ("space", "NOT_CANONICAL"),
+        ("supervisor", "ROLE_DENIED"),
+        ("bit", "SIGNATURE_INVALID"),
+        ("foreign", "ROBOT_MISMATCH"),
+        ("profile", "PROFILE_MISMATCH"),
+        ("site", "SITE_MISMATCH"),
+        ("past", "EXPIRED"),
+    ],
+)
+def test_a_bad_token_is_refused_with_one_record_and_nothing_changed(
+    token: Any, reason: str
+) -> None:
+    sim, mission = worlds.simulation(), worlds.mission()
+    good = worlds.token(mission)
+    past = {"not_before": "2020-01-01T00:00:00Z", "expiry": "2020-01-02T00:00:00Z"}
+    made = {
+        "cut": lambda: good[:-20],
+        "space": lambda: good.replace(b'":', b'": ', 1),
+        "supervisor": lambda: worlds.token(mission, by="supervisor-1"),
+        "bit": lambda: good.replace(b'"signature":"', b'"signature":"A', 1)[:-5] + good[-4:],
+        "foreign": lambda: worlds.token(msgspec.structs.replace(mission, rid="lifter-1")),
+        "profile": lambda: worlds.token(msgspec.structs.replace(mission, profile="A" * 43)),
+        "site": lambda: worlds.token(msgspec.structs.replace(mission, site="A" * 43)),
+        "past": lambda: worlds.token(msgspec.structs.replace(mission, **past)),
+    }
+    if token == "bit":
+        other = worlds.token(msgspec.structs.replace(mission, nonce="B" * 22))
+        payload = good.split(b'"payload":')[1]
+        data = other.split(b'"payload":')[0] + b'"payload":' + payload
+    else:
+        data = token if isinstance(token, bytes) else made[token]()
+    before = len(sim.gate.ledger.store.rows())
+    with pytest.raises(AuthGuardError) as refused:
+        sim.gate.management.activate(data)
+    assert str(refused.value.reason) == reason
+    added = sim.gate.ledger.store.rows()[before:]
+    assert [read_record(row.record, where="").open["reasons"] for row in added] == [[reason]]
+    assert worlds.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION

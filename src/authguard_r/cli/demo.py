@@ -135,7 +135,7 @@ def _play(stage: _Stage, simulation: Simulation) -> dict[str, Any]:
             "authorization": report_json(hijack.reports[0]),
             "safety_alone": alone,
             "executed": any(r.outcome is not None for r in hijack.reports),
-            "smallest_change": hijack.change,
+            "smallest_change": None if hijack.change is None else hijack.change.draft,
         },
         "update": {"version": 2, "steps": _acts(deliver)},
         "delivered": state.places.get("package-p1") == "station-103",  # type: ignore[call-overload]

@@ -29,14 +29,16 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.out import emit, exit_code, report_code, report_json, report_lines
+from authguard_r.compile.card import compare
 from authguard_r.compile.change import smallest_change, to_draft
-from authguard_r.core.encoding import b64
-from authguard_r.core.errors import AuthGuardError, RefusedError
+from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
+from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import ObjectId, RegionId
-from authguard_r.core.mission import OnRefusal
+from authguard_r.core.lifecycle import Status
+from authguard_r.core.mission import Mission, OnRefusal
 from authguard_r.core.quantities import Now, to_timestamp
-from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
+from authguard_r.core.token import read_token
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
@@ -47,6 +49,13 @@ from authguard_r.sim.world import WorldState, initial_state
 from authguard_r.site.model import Site
 
 PLANNER = "planner"
+
+
+class Change(Struct, frozen=True, kw_only=True):
+    """A next version that would allow what was refused: as a draft, and what it adds."""
+
+    draft: dict[str, Any]
+    adds: tuple[str, ...]
 
 
 class Run(Struct, frozen=True, kw_only=True):
@@ -63,7 +72,7 @@ class Run(Struct, frozen=True, kw_only=True):
     reports: tuple[Report, ...]
     steps: int
     alerts: tuple[str, ...] = ()
-    change: dict[str, Any] | None = None
+    change: Change | None = None
     then: str | None = None
 
 
@@ -196,12 +205,12 @@ def stop_command(
 def _activate(simulation: Simulation, token: bytes) -> None:
     """Activate the mission, unless this very version is active already."""
     management = simulation.gate.management
-    try:
+    payload = unb64(read_token(token).payload, where="token.payload")
+    mission = decode(payload, Mission, where="mission")
+    standing = management.standing(mission.mid)
+    known = standing is not None and standing.digest == digest(Tag.MISSION, payload)
+    if standing is None or not known or standing.status not in {Status.ACTIVE, Status.CLOSING}:
         management.activate(token)
-    except RefusedError as error:
-        if error.reason is not Reason.TRANSITION_REFUSED or "is here and active" not in str(error):
-            raise
-        management.recover()
 
 
 def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldState:
@@ -241,7 +250,7 @@ def _alerts(report: Report) -> tuple[str, ...]:
     return tuple(alerts)
 
 
-def _change(simulation: Simulation, report: Report) -> dict[str, Any] | None:
+def _change(simulation: Simulation, report: Report) -> Change | None:
     """Return the smallest signed change that would allow the refused step, as a draft."""
     judged = report.judged
     if judged is None or judged.decision.match is None or report.outcome is not None:
@@ -256,7 +265,10 @@ def _change(simulation: Simulation, report: Report) -> dict[str, Any] | None:
         nonce=b64(os.urandom(16)),
         expiry=to_timestamp(now.utc_ms),
     )
-    return None if amended is None else to_draft(amended)
+    if amended is None:
+        return None
+    adds = compare(judged.verified.mission, amended, simulation.robot.site)
+    return Change(draft=to_draft(amended), adds=adds)
 
 
 def _payload(simulation: Simulation, runs: list[Run], path: Path) -> dict[str, Any]:
@@ -275,7 +287,7 @@ def _payload(simulation: Simulation, runs: list[Run], path: Path) -> dict[str, A
         },
         "alerts": [alert for run in runs for alert in run.alerts],
         "on_refusal": next((run.then for run in runs if run.then is not None), None),
-        "smallest_change": next((run.change for run in runs if run.change is not None), None),
+        "smallest_change": next((run.change.draft for run in runs if run.change is not None), None),
         "robot": {"region": state.region, "holding": state.holding},
         "store": str(path),
         "checkpoint": str(anchor),
@@ -291,7 +303,8 @@ def _lines(runs: list[Run], path: Path) -> list[str]:
             left = max(run.steps - len(run.reports), 0)
             lines.append(f"then: {run.then}; {left} further step(s) not tried")
         if run.change is not None:
-            lines.append("a signed next version could allow it: see `smallest_change` in --json")
+            lines.append("a signed next version could allow it (--json has it as a draft):")
+            lines += [f"  {line}" for line in run.change.adds]
     return [*lines, f"log: {path} (authguard audit verify {path})"]
 
 
