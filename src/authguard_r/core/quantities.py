@@ -46,4 +46,4 @@ def to_ms(timestamp: Timestamp, *, where: str) -> int:
 def to_timestamp(utc_ms: int) -> Timestamp:
     """Return the whole second in which the instant lies, as signed data spells it."""
     moment = datetime.fromtimestamp(utc_ms // 1_000, tz=UTC)
-    return moment.strftime("%Y-%m-%dT%H:%M:%SZ")
+    return moment.isoformat().replace("+00:00", "Z")
