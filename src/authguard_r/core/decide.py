@@ -17,6 +17,8 @@ order is primary. Spec page: docs/spec/decision.md
 
 from __future__ import annotations
 
+from itertools import chain
+
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks import GRANT_CHECKS, MISSION_CHECKS, ROW_CHECKS, Case
@@ -97,21 +99,19 @@ def find_match(case: Case) -> Match:
     Ties go to signed order. Only a grant of the action's type can be without findings, so these
     are looked at first; another is given up as soon as it cannot win any more.
     """
-    tried: dict[int, Match] = {}
+    won: Match | None = None
     best: tuple[int, int] | None = None  # how many findings, place in signed order
-    same = case.verified.by_type.get(case.action.type, ())
-    others = [n for n in range(len(case.verified.grants)) if n not in same]
-    for place in (*same, *others):
-        match = _match(case, case.verified.grants[place], place, best)
+    grants, same = case.verified.grants, case.verified.by_type.get(case.action.type, ())
+    for place in chain(same, range(len(grants))):
+        match = _match(case, grants[place], place, best)
         if match is None:
             continue
-        tried[place] = match
-        best = (len(match.findings), place)
+        won, best = match, (len(match.findings), place)
         if not match.findings:
             break
-    if best is None:  # pragma: no cover - the schema demands one grant
+    if won is None:  # pragma: no cover - the schema demands one grant
         raise RuntimeError("a mission without grants was verified")
-    return tried[best[1]]
+    return won
 
 
 def _match(
@@ -121,10 +121,10 @@ def _match(
     own: list[Finding] = []
     for check in GRANT_CHECKS:
         own += check(case, indexed)
-        if best is not None and (len(own), place) > best:
-            return None
+        if best is not None and (len(own), place) >= best:
+            return None  # not even its own second look does better
     row, found = _best_row(case, indexed)
-    if best is not None and (len(own) + len(found), place) > best:
+    if best is not None and (len(own) + len(found), place) >= best:
         return None
     return Match(indexed=indexed, row=row, findings=(*own, *found))
 

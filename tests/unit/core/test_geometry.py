@@ -337,7 +337,7 @@ def test_the_place_equals_the_oracle_s_all_over_the_hospital() -> None:
         }
     }
     several = 0
-    for x in range(-1000, 39_001, 1000):
+    for x in range(-1000, 39_001, 1500):
         for y in range(-7000, 13_001, 1000):
             for floor, margin in ((1, 0), (1, 150), (1, 1000), (2, 150)):
                 shot = snapshot(floor=floor, x=x, y=y, margin=margin)

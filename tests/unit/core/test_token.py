@@ -28,7 +28,7 @@ from authguard_r.core.encoding import (
     unb64,
 )
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
-from authguard_r.core.mission import Closing, Guard, Limit, Mission, Row
+from authguard_r.core.mission import Closing, DataRights, Grant, Guard, Limit, Mission, Row
 from authguard_r.core.ports import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import (
@@ -793,7 +793,7 @@ def test_each_field_of_a_mission_ends_where_its_type_ends(
 
 def test_a_task_a_grant_list_and_a_row_list_end_at_their_longest() -> None:
     rows = [{"object": f"p{n}"} for n in range(257)]
-    one = {**GRANT, "alternatives": [ROW], "data": {}, "tool": "y", "type": "x"}
+    one = {**GRANT, "alternatives": [ROW], "tool": "y", "type": "x"}
     actions = [{**one, "id": f"g{n}"} for n in range(65)]
     for path, longest, beyond in (
         ("task", "x" * 2000, "x" * 2001),
@@ -807,6 +807,22 @@ def test_a_task_a_grant_list_and_a_row_list_end_at_their_longest() -> None:
         with pytest.raises(MalformedError) as caught:
             decode(plain_mission(path, beyond), Mission)
         assert caught.value.reason is Reason.MALFORMED
+
+
+def test_what_a_grant_does_not_say_it_does_not_grant() -> None:
+    """Absent never means anything (docs/spec/mission-language.md)."""
+    bare = decode(
+        b'{"alternatives":[{}],"chooser":"operator","id":"a","irreversible":false,'
+        b'"max_ms":1,"repeat":1,"starts":1,"tool":"b","type":"c"}',
+        Grant,
+    )
+    assert (bare.data.record, bare.data.store, bare.data.transmit) == (False, False, False)
+    assert (bare.limits, bare.guards, bare.after, bare.until, bare.done_when) == ((),) * 5
+    assert bare.completes is False
+    assert bare.alternatives == (Row(object=None, source=None, destination=None, regions=()),)
+    for right in ("record", "store", "transmit"):
+        given = decode(f'{{"{right}":true}}'.encode(), DataRights)
+        assert [getattr(given, name) for name in ("record", "store", "transmit")].count(True) == 1
 
 
 def test_what_was_verified_cannot_be_changed_afterwards() -> None:

@@ -119,6 +119,54 @@ UNSOUND: dict[str, tuple[Callable[[], Plain], str]] = {
         lambda: argument("pick_up", "from", use="mapped", to="source"),
         "tools.pick_up.source",
     ),
+    "a factor that is no number": (
+        lambda: argument("wait", "seconds", per_unit="many"),
+        "tools.wait.arguments.seconds.per_unit",
+    ),
+    "a factor of nothing": (
+        lambda: argument("wait", "seconds", per_unit="0"),
+        "tools.wait.arguments.seconds.per_unit",
+    ),
+    "a factor that divides by nothing": (
+        lambda: argument("wait", "seconds", per_unit="1/0"),
+        "tools.wait.arguments.seconds.per_unit",
+    ),
+    "a factor that turns a quantity round": (
+        lambda: argument("wait", "seconds", per_unit="-1000"),
+        "tools.wait.arguments.seconds.per_unit",
+    ),
+    "a factor too long to read": (
+        lambda: argument("wait", "seconds", per_unit="1" * 21),
+        "tools.wait.arguments.seconds.per_unit",
+    ),
+    "a default below the type's range": (
+        lambda: argument("wait", "seconds", optional=True, default=0),
+        "tools.wait.arguments.seconds.default",
+    ),
+    "a default above the type's range": (
+        lambda: argument("wait", "seconds", optional=True, default=3_600_001),
+        "tools.wait.arguments.seconds.default",
+    ),
+    "a default for a place": (
+        lambda: argument("pick_up", "object", optional=True, default=1),
+        "tools.pick_up.arguments.object.default",
+    ),
+    "a fixed number above the type's range": (
+        lambda: changed("take_photo", fixed={"params.max_bytes": 100_000_001}),
+        "tools.take_photo.fixed.params.max_bytes",
+    ),
+    "a fixed number that is text": (
+        lambda: changed("take_photo", fixed={"params.max_bytes": "all"}),
+        "tools.take_photo.fixed.params.max_bytes",
+    ),
+    "a fixed place that the site does not have": (
+        lambda: changed("pick_up", attested=[], fixed={"source": "cellar"}),
+        "tools.pick_up.fixed.source",
+    ),
+    "a fixed place that is an object": (
+        lambda: changed("pick_up", attested=[], fixed={"source": "package-p1"}),
+        "tools.pick_up.fixed.source",
+    ),
     "a field from nowhere": (lambda: changed("pick_up", attested=[]), "tools.pick_up.arguments"),
     "an object from nowhere": (lambda: without("pick_up", "object"), "tools.pick_up.arguments"),
     "a required parameter from nowhere": (
@@ -155,6 +203,16 @@ SOUND: dict[str, Callable[[], Plain]] = {
             }
         },
     },
+    "a default at the type's least": lambda: argument("wait", "seconds", optional=True, default=1),
+    "a default at the type's most": lambda: argument(
+        "wait", "seconds", optional=True, default=3_600_000
+    ),
+    "a fixed number at the type's most": lambda: changed(
+        "take_photo", fixed={"params.max_bytes": 100_000_000}
+    ),
+    "a factor that is a share": lambda: argument("wait", "seconds", per_unit="1/3"),
+    "a factor that is a decimal": lambda: argument("wait", "seconds", per_unit="0.001"),
+    "a factor of the greatest length": lambda: argument("wait", "seconds", per_unit="1" * 20),
     "one more noted field": lambda: argument("wait", "why", use="noted"),
     "a state-writing tool without its fields": lambda: changed("relocalize", arguments={}),
     "no tools at all": lambda: {**plain(), "tools": {}},
@@ -164,6 +222,16 @@ SOUND: dict[str, Callable[[], Plain]] = {
 @pytest.mark.parametrize("make", SOUND.values(), ids=SOUND)
 def test_a_binding_that_just_keeps_the_rule_is_sound(make: Callable[[], Plain]) -> None:
     assert isinstance(load(make()), Binding)
+
+
+@pytest.mark.parametrize("name", ["g\u00f6", "scan\u200b", "\u0455can"])
+def test_a_tool_or_an_argument_outside_ascii_is_refused(name: str) -> None:
+    data = plain()
+    data["tools"][name] = data["tools"]["scan"]
+    for one in (data, argument("wait", name, use="noted")):
+        with pytest.raises(MalformedError) as caught:
+            load(one)
+        assert caught.value.where.isascii()
 
 
 def test_a_binding_for_another_site_is_refused() -> None:

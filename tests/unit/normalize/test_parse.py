@@ -214,6 +214,7 @@ def test_the_longest_and_the_largest_number_pass(text: str) -> None:
         ('{"a":1,"\\u0061":2}', "a"),
         ('[{"b":{"x":0,"y":0,"x":0}}]', "x"),
         ('{"":1,"":1}', ""),
+        ('{"b":1,"a":2,"c":3,"a":4,"d":5}', "a"),
     ],
 )
 def test_a_key_twice_is_refused_however_it_is_spelled(text: str, key: str) -> None:
