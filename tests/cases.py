@@ -25,7 +25,7 @@ from authguard_r.core.decision import Decision
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.lifecycle import Status
-from authguard_r.core.mission import Budgets, Grant, Guard, Limit, Mission, Rate, Row
+from authguard_r.core.mission import Budgets, DataRights, Grant, Guard, Limit, Mission, Rate, Row
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.standing import ApprovalRequest, OpenRelease, Spend, Standing, Use, issue
 from authguard_r.core.state import AttestedState
@@ -192,7 +192,6 @@ def _answer(case: Case, request: ApprovalRequest, by: str, **changes: Any) -> Ve
 
 def _wanted(rnd: Random, kind: str, at: str) -> Grant:
     params: dict[str, int] = {}
-    data = msgspec.UNSET
     rows: tuple[Row, ...]
     if kind in {"navigate", "approved"}:
         goal = "isolation-room" if kind == "approved" else rnd.choice(["station-101", "office-1"])
@@ -233,9 +232,9 @@ def _wanted(rnd: Random, kind: str, at: str) -> Grant:
         "after": ("before",) if rnd.random() < 0.5 else (),
         "until": ("end",) if rnd.random() < 0.5 else (),
     }
+    fields["data"] = {}
     if name == "record_video":
         fields["data"] = {"record": True, "store": True}
-    del data
     return msgspec.convert(plain(fields), Grant)
 
 
@@ -267,6 +266,7 @@ def _filler(rnd: Random, name: str, kind: str) -> Grant:
         starts=rnd.randint(3, 5),
         max_ms=1_000,
         irreversible=False,
+        data=DataRights(),
         limits=(Limit(parameter="other_mm", low=1, high=100),) if kind == "navigate" else (),
     )
 

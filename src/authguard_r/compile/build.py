@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from authguard_r.compile.draft import Draft, DraftGrant, DraftGuard, DraftRow, Quantity
 from authguard_r.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError, MalformedError
-from authguard_r.core.identifiers import ActionType, ParameterId, RobotId
+from authguard_r.core.identifiers import ActionType, ParameterId, RobotId, Timestamp
 from authguard_r.core.mission import Comparison, Mission, require_schema
 from authguard_r.core.quantities import Now, to_ms, to_timestamp
 from authguard_r.core.reasons import Reason
@@ -36,6 +36,8 @@ def compile_draft(draft: Draft, site: Site, *, now: Now, nonce: str) -> Mission:
         ClarificationError: a privileged field is absent or ambiguous.
         MalformedError: a word that the site does not know, or a rule of the language broken.
     """
+    if not _is_text(draft.task):
+        raise MalformedError("expected text that UTF-8 can spell", where="task")
     rid = _robot(draft, site)
     first, last = _window(draft, now)
     rows = [row for grant in draft.grants for row in grant.rows or ()]
@@ -74,6 +76,10 @@ def compile_draft(draft: Draft, site: Site, *, now: Now, nonce: str) -> Mission:
     return mission
 
 
+def _is_text(text: str) -> bool:
+    return not any("\ud800" <= mark <= "\udfff" for mark in text)
+
+
 def _robot(draft: Draft, site: Site) -> str:
     if draft.robot is None:
         _ask("Which robot is meant?", "robot", sorted(site.robots))
@@ -94,7 +100,8 @@ def _window(draft: Draft, now: Now) -> tuple[str, str]:
     for name in ("not_before", "expiry"):
         if "T" not in window[name]:
             _ask("A time needs its date and zone: 2026-01-31T14:30:00Z?", f"window.{name}")
-        to_ms(window[name], where=f"window.{name}")
+        instant = convert(window[name], Timestamp, where=f"window.{name}")
+        to_ms(instant, where=f"window.{name}")
     return window["not_before"], window["expiry"]
 
 

@@ -43,7 +43,7 @@ VariableId = NewType("VariableId", Identifier)
 Digest = NewType("Digest", _Sha256)
 Base64Url = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]*\Z")]
 #: RFC 3339, UTC, whole seconds.
-Timestamp = Annotated[str, Meta(pattern=r"\A\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}Z\Z")]
+Timestamp = Annotated[str, Meta(pattern=r"\A[0-9]{4}(-[0-9]{2}){2}T([0-9]{2}:){2}[0-9]{2}Z\Z")]
 
 _IDENTIFIER = re.compile(IDENTIFIER)
 

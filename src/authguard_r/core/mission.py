@@ -106,7 +106,7 @@ class Grant(_Signed, frozen=True, kw_only=True):
         alternatives: the rows; the action must match one whole row.
         limits: bounds for every parameter that an action may carry; others may not be carried.
         guards: conditions beside the mission's own.
-        data: data rights.
+        data: data rights; said even when there are none, for a default would have two spellings.
         chooser: who may choose among rows.
         after: grants that must have succeeded since this one's last success.
         until: grants whose success closes this one.
@@ -129,7 +129,7 @@ class Grant(_Signed, frozen=True, kw_only=True):
     irreversible: bool
     limits: tuple[Limit, ...] = ()
     guards: tuple[Guard, ...] = ()
-    data: DataRights = DataRights()
+    data: DataRights
     after: tuple[ids.GrantId, ...] = ()
     until: tuple[ids.GrantId, ...] = ()
     done_when: tuple[Guard, ...] = ()

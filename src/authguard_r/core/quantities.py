@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Timestamp
+from authguard_r.core.reasons import Reason
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -38,7 +39,7 @@ def to_ms(timestamp: Timestamp, *, where: str) -> int:
     try:
         moment = datetime.fromisoformat(timestamp)
     except ValueError as error:
-        raise MalformedError(f"`{timestamp}` is not an instant", where=where) from error
+        raise MalformedError("no instant", where=where, reason=Reason.SCHEMA_INVALID) from error
     delta = moment - _EPOCH
     return (delta.days * 86_400 + delta.seconds) * 1_000
 

@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.x509.oid import NameOID, ObjectIdentifier
 from msgspec import Struct
@@ -141,7 +141,7 @@ def load(der: bytes, *, where: str) -> x509.Certificate:
     """
     try:
         return x509.load_der_x509_certificate(der)
-    except ValueError as error:
+    except (ValueError, x509.InvalidVersion) as error:
         raise _bad("expected a DER certificate", where) from error
 
 
@@ -159,7 +159,7 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
     _require_issued(leaf, authority, where="certificate.leaf")
     _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
     _require_dates(leaf, now, where="certificate.leaf")
-    key = require_sound(leaf.public_key(), where="certificate.leaf")
+    key = require_sound(_public_key(leaf, where="certificate.leaf"), where="certificate.leaf")
     roles = _roles(leaf, where="certificate.leaf")
     if len(roles) != 1 or not roles <= allowed:
         raise _bad("expected one role that its authority may give", "certificate.leaf")
@@ -191,7 +191,7 @@ def _require_authority(
     _require_profile(authority, ca=True, path_length=0, where=where)
     _require_dates(root, now, where="certificate.root")
     _require_dates(authority, now, where=where)
-    require_sound(authority.public_key(), where=where)
+    require_sound(_public_key(authority, where=where), where=where)
     return _roles(authority, where=where)
 
 
@@ -210,7 +210,12 @@ def _require_profile(
         unknown = [e for e in extensions if e.critical and e.oid not in _KNOWN_CRITICAL]
         basic = extensions.get_extension_for_class(x509.BasicConstraints).value
         usage = extensions.get_extension_for_class(x509.KeyUsage).value
-    except (ValueError, x509.ExtensionNotFound, x509.DuplicateExtension) as error:
+    except (
+        ValueError,
+        x509.ExtensionNotFound,
+        x509.DuplicateExtension,
+        x509.UnsupportedGeneralNameType,
+    ) as error:
         raise _bad("expected basic constraints and key usage", where) from error
     if unknown:
         raise _bad("expected no critical extension that is unknown", where)
@@ -219,6 +224,15 @@ def _require_profile(
     signs, certifies = usage.digital_signature, usage.key_cert_sign
     if (signs, certifies) != (not ca, ca):
         raise _bad("expected the key usage of its place in the chain", where)
+
+
+def _public_key(cert: x509.Certificate, *, where: str) -> object:
+    try:
+        return cert.public_key()
+    except (ValueError, UnsupportedAlgorithm) as error:
+        raise AuthenticityError(
+            "expected an Ed25519 key", reason=Reason.KEY_INVALID, where=where
+        ) from error
 
 
 def _require_dates(cert: x509.Certificate, now: Now, *, where: str) -> None:

@@ -7,6 +7,8 @@ not knowing is not the same as knowing it is good. Spec page: docs/spec/token.md
 
 from __future__ import annotations
 
+import re
+
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from msgspec import Struct
 
@@ -15,6 +17,8 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, Identifier, Timestamp
 from authguard_r.core.quantities import to_ms
 from authguard_r.keys.ed25519 import require_signature
+
+_SERIAL = re.compile(r"[1-9][0-9]{0,48}")
 
 
 class Revocation(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -58,6 +62,12 @@ def sign_list(revocation: Revocation, key: Ed25519PrivateKey) -> bytes:
     return encode_fast(signed) + b"\n"
 
 
+def _are_serials(texts: tuple[str, ...]) -> bool:
+    """True for distinct positive decimals as a certificate can have them, sorted as text."""
+    plain = all(_SERIAL.fullmatch(text) for text in texts)
+    return plain and list(texts) == sorted(set(texts))
+
+
 def read_list(data: bytes, *, authority: str, key: Ed25519PublicKey) -> RevocationList:
     """Return the list once its authority's signature over it holds.
 
@@ -71,7 +81,7 @@ def read_list(data: bytes, *, authority: str, key: Ed25519PublicKey) -> Revocati
     message = unb64(digest(Tag.REVOCATION, payload))
     require_signature(key, unb64(signed.signature, where=where), message, where=where)
     revocation = decode(payload, Revocation, where=where)
-    if revocation.authority != authority or not all(s.isdecimal() for s in revocation.serials):
+    if revocation.authority != authority or not _are_serials(revocation.serials):
         raise MalformedError(f"expected the list of `{authority}`", where=where)
     return RevocationList(
         number=revocation.number,

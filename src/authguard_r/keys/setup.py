@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.serialization import (
 from msgspec import Struct
 
 from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.identifiers import is_identifier
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root
@@ -63,12 +64,13 @@ def init_folder(
     Raises:
         EnvironmentFault: the folder holds something already; nothing was written.
     """
-    if folder.exists() and any(folder.iterdir()):
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise EnvironmentFault(
             f"expected an empty folder, got `{folder}`",
             reason=Reason.STORE_UNAVAILABLE,
             where=str(folder),
         )
+    _require_names(members, folder)
     start = now - timedelta(days=1)
     root_key = Ed25519PrivateKey.generate()
     root = build_root(root_key, name="AuthGuard-R demo root", now=start, days=days)
@@ -84,6 +86,18 @@ def init_folder(
     }
     for member in members:
         issue_member(folder, member, authorities, now=start, days=days)
+
+
+def _require_names(members: tuple[Member, ...], folder: Path) -> None:
+    """Refuse names that are no identifiers, come twice, or are an authority's, before writing."""
+    names = [member.id for member in members]
+    reserved = {"root", *AUTHORITIES}
+    if not all(map(is_identifier, names)) or len({*names, *reserved}) != len(names) + len(reserved):
+        raise EnvironmentFault(
+            "expected distinct identifiers that no authority has",
+            reason=Reason.SCHEMA_INVALID,
+            where=str(folder),
+        )
 
 
 def issue_member(

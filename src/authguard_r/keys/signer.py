@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
@@ -44,15 +45,16 @@ def read_signer(key_path: Path, chain_path: Path) -> FileSigner:
     """
     try:
         key = load_pem_private_key(read_file(key_path), None)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise _bad("expected an unencrypted PKCS8 PEM key", key_path) from error
     if not isinstance(key, Ed25519PrivateKey):
         raise _bad("expected an Ed25519 key", key_path)
     try:
         chain = x509.load_pem_x509_certificates(read_file(chain_path))
-    except ValueError as error:
+        fits = len(chain) == 2 and chain[0].public_key() == key.public_key()
+    except (ValueError, x509.InvalidVersion, UnsupportedAlgorithm) as error:
         raise _bad("expected PEM certificates", chain_path) from error
-    if len(chain) != 2 or chain[0].public_key() != key.public_key():
+    if not fits:
         raise _bad("expected the key's own certificate, then its authority's", chain_path)
     return FileSigner(key, tuple(cert.public_bytes(Encoding.DER) for cert in chain))
 

@@ -20,6 +20,9 @@ from authguard_r.normalize.binding import Argument, Binding, ToolBinding, Use
 from authguard_r.normalize.dialects import Call
 from authguard_r.site.model import Parameter, Rounding, Site
 
+#: Longest route, in regions.
+MAX_ROUTE = 64
+
 
 class Binder:
     """Turns calls into actions of one site through one binding.
@@ -46,7 +49,9 @@ class Binder:
         tool = self._binding.tools.get(call.tool)
         if tool is None:
             raise _refusal(
-                Reason.TOOL_UNKNOWN, f"expected a bound tool, got `{call.tool}`", call.where
+                Reason.TOOL_UNKNOWN,
+                f"expected a bound tool, got `{ascii(call.tool)[1:-1][:80]}`",
+                call.where,
             )
         kind = self._site.vocabulary[tool.type]
         if kind.state_writing:
@@ -57,7 +62,7 @@ class Binder:
             )
         unknown = sorted(set(call.arguments) - set(tool.arguments))
         if unknown:
-            place = f"{call.where}.{unknown[0]}"
+            place = f"{call.where}.{ascii(unknown[0])[1:-1][:80]}"
             raise _refusal(Reason.FIELD_UNKNOWN, f"`{call.tool}` has no such field", place)
         fields = self._collect(call, tool)
         params = {
@@ -110,7 +115,7 @@ class Binder:
         if argument.to in {"source", "destination"}:
             return RegionId(_resolve(value, self._regions, "region", where))
         if argument.to == "route":
-            if not isinstance(value, list):
+            if not isinstance(value, list) or len(value) > MAX_ROUTE:
                 raise _refusal(Reason.VALUE_INVALID, "expected a list of regions", where)
             return tuple(
                 RegionId(_resolve(item, self._regions, "region", f"{where}[{n}]"))
@@ -173,7 +178,7 @@ def _resolve(value: Any, spellings: dict[str, str], kind: str, where: str) -> st
         raise _refusal(Reason.VALUE_INVALID, f"expected the name of a {kind}", where)
     found = spellings.get(value)
     if found is None:
-        shown = value if value.isascii() else ascii(value)
+        shown = ascii(value)[1:-1]
         raise _refusal(Reason.NAME_UNKNOWN, f"no {kind} is called `{shown[:80]}`", where)
     return found
 

@@ -8,6 +8,7 @@ not name refuses the whole plan. Spec page: docs/spec/binding.md
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from enum import StrEnum
 from fractions import Fraction
@@ -28,8 +29,8 @@ from authguard_r.core.identifiers import (
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import ActionModel, Site
 
-#: Longest `per_unit`, in characters.
-MAX_FACTOR = 20
+#: A positive number of at most 20 characters: `1000`, `0.5` or `1/3`.
+_FACTOR = re.compile(r"(?=.{1,20}\Z)[0-9]+(?:\.[0-9]+|/[0-9]+)?")
 
 
 class Use(StrEnum):
@@ -164,13 +165,15 @@ def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> b
             and isinstance(value, int)
             and parameter.low <= value <= parameter.high
         )
+    if target == "route":
+        return False  # a list; nobody settles a way
     known = site.objects if target == "object" else site.regions
     return value in known
 
 
 def _is_factor(text: str) -> bool:
     try:
-        return len(text) <= MAX_FACTOR and Fraction(text) > 0
+        return _FACTOR.fullmatch(text) is not None and Fraction(text) > 0
     except (ValueError, ZeroDivisionError):
         return False
 

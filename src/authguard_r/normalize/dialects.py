@@ -77,7 +77,7 @@ def _openai(value: Any) -> tuple[Call, ...]:
         raise MalformedError(f"expected one choice, got {len(choices)}", where="choices")
     choice = _of(choices[0], dict, "choices[0]")
     reason = choice.get("finish_reason")
-    if reason not in {"tool_calls", "stop"}:
+    if not isinstance(reason, str) or reason not in {"tool_calls", "stop"}:
         raise MalformedError(
             f"expected a finished reply, got finish_reason `{reason}`",
             where="choices[0].finish_reason",

@@ -64,6 +64,8 @@ def _regions(site: Site) -> Iterator[tuple[str, str]]:
         area = polygon(model.map, model.floor, model.points)
         if _doubled_area(model.points) == 0:
             yield f"regions.{region}.points", "expected corners that enclose an area"
+        elif not _is_simple(model.points):
+            yield f"regions.{region}.points", "expected edges that do not cross or touch"
         elif not may_lie_in(area, model.approach, 0):
             yield f"regions.{region}.approach", "expected a point inside the region"
         if list(model.tags) != sorted(set(model.tags)) or not model.tags:
@@ -124,3 +126,45 @@ def skeleton(identifier: str) -> str:
     mission, so a site model may not hold both (L2).
     """
     return identifier.translate(_SKELETON)
+
+
+def _is_simple(points: tuple[tuple[int, int], ...]) -> bool:
+    """True when edges meet only at the corner that two neighbors share."""
+    edges = list(zip(points, points[1:] + points[:1], strict=True))
+    count = len(edges)
+    for i, (a, b) in enumerate(edges):
+        for j in range(i + 1, count):
+            c, d = edges[j]
+            if j == i + 1 or (i == 0 and j == count - 1):
+                shared, far = (b, d) if j == i + 1 else (a, c)
+                other = a if j == i + 1 else b
+                if _side(other, shared, far) == 0 and _between(other, far, shared):
+                    return False
+            elif _touch(a, b, c, d):
+                return False
+    return True
+
+
+def _touch(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int], d: tuple[int, int]) -> bool:
+    """True when two segments have a point in common."""
+    first, second = _side(a, b, c), _side(a, b, d)
+    third, fourth = _side(c, d, a), _side(c, d, b)
+    if first != second and third != fourth:
+        return True
+    on = ((first, a, b, c), (second, a, b, d), (third, c, d, a), (fourth, c, d, b))
+    return any(side == 0 and _on(p, q, r) for side, p, q, r in on)
+
+
+def _side(a: tuple[int, int], b: tuple[int, int], p: tuple[int, int]) -> int:
+    cross = (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+    return (cross > 0) - (cross < 0)
+
+
+def _on(a: tuple[int, int], b: tuple[int, int], p: tuple[int, int]) -> bool:
+    """True when a point of the segment's line lies between its ends."""
+    return min(a[0], b[0]) <= p[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= p[1] <= max(a[1], b[1])
+
+
+def _between(p: tuple[int, int], q: tuple[int, int], corner: tuple[int, int]) -> bool:
+    """True when two collinear edges leave their common corner in the same direction."""
+    return (p[0] - corner[0]) * (q[0] - corner[0]) + (p[1] - corner[1]) * (q[1] - corner[1]) > 0

@@ -30,21 +30,29 @@ class _StrictLoader(yaml.SafeLoader):
         if self.check_event(yaml.events.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call]
             raise yaml.YAMLError(f"aliases are not allowed{event.start_mark}")
+        tagged = self.peek_event()  # type: ignore[no-untyped-call]
+        if getattr(tagged, "tag", None) is not None:
+            raise yaml.YAMLError(f"tags are not allowed{tagged.start_mark}")
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = True) -> dict[Any, Any]:  # noqa: FBT001, FBT002
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for number, key in enumerate(keys):
-            if key in keys[:number]:
+        seen: set[Any] = set()
+        for key in keys:
+            if not isinstance(key, str | int) or key in seen:
                 raise yaml.YAMLError(f"duplicate key `{key}`{node.start_mark}")
+            seen.add(key)
         return super().construct_mapping(node, deep=deep)
 
 
 # `on`, `no` and dates are words of the site, not truth values and instants.
 _StrictLoader.yaml_implicit_resolvers = {
-    first: [(tag, rule) for tag, rule in rules if not tag.endswith((":timestamp", ":bool"))]
+    first: [(tag, rule) for tag, rule in rules if not tag.endswith((":timestamp", ":bool", ":int"))]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"^(?:0|-?[1-9][0-9]*)$"), list("-0123456789")
+)
 _StrictLoader.add_implicit_resolver(
     "tag:yaml.org,2002:bool", re.compile(r"^(?:true|false)$"), list("tf")
 )
@@ -81,7 +89,7 @@ def read_yaml(text: str, *, where: str) -> object:
     """
     try:
         return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - a SafeLoader
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         message = " ".join(str(error).split())
         raise MalformedError(message, where=where) from error
 

@@ -342,7 +342,7 @@ def test_an_instant_has_two_spellings_and_no_third() -> None:
     with pytest.raises(AuthGuardError) as refused:
         to_ms("2026-02-30T14:30:00Z", where="expiry")
     assert refused.value.where == "expiry"
-    assert "MALFORMED" in str(refused.value)
+    assert "SCHEMA_INVALID" in str(refused.value)
 
 
 def test_a_tool_that_this_robot_does_not_have_exceeds_its_capability() -> None:

@@ -732,7 +732,14 @@ def plain_mission(path: str, value: Any) -> bytes:
 
 
 GRANT, ROW = (
-    {"chooser": "planner", "irreversible": False, "max_ms": 1, "repeat": 1, "starts": 1},
+    {
+        "chooser": "planner",
+        "data": {},
+        "irreversible": False,
+        "max_ms": 1,
+        "repeat": 1,
+        "starts": 1,
+    },
     {"regions": ["a"]},
 )
 #: The last value that the types of docs/spec/mission-language.md allow, and the first that they
@@ -812,7 +819,7 @@ def test_a_task_a_grant_list_and_a_row_list_end_at_their_longest() -> None:
 def test_what_a_grant_does_not_say_it_does_not_grant() -> None:
     """Absent never means anything (docs/spec/mission-language.md)."""
     bare = decode(
-        b'{"alternatives":[{}],"chooser":"operator","id":"a","irreversible":false,'
+        b'{"alternatives":[{}],"chooser":"operator","data":{},"id":"a","irreversible":false,'
         b'"max_ms":1,"repeat":1,"starts":1,"tool":"b","type":"c"}',
         Grant,
     )

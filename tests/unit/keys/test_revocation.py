@@ -93,7 +93,7 @@ def test_a_serial_that_is_no_decimal_is_refused(serial: str) -> None:
 
 def test_a_next_update_that_names_no_instant_is_refused() -> None:
     data = sign_list(revocation(next_update="2030-02-30T12:00:00Z"), KEY)
-    refused(data, Reason.MALFORMED)
+    refused(data, Reason.SCHEMA_INVALID)
 
 
 @pytest.mark.parametrize(
