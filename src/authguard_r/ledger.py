@@ -57,6 +57,7 @@ class Ledger:
         self._mono_start = clock.mono_ms()
         self._high = Now(0, 0)
         self._standings: dict[MissionId, tuple[int, Standing]] = {}
+        self._decoded: dict[MissionId, tuple[bytes, Standing]] = {}
         self._turns = 0
         self._mirror = threading.Lock()
         store.run(lambda turn: self._open(turn, genesis, inputs or {}))
@@ -88,7 +89,7 @@ class Ledger:
 
         def turn_job(turn: Turn) -> tuple[T, Act]:
             self._turns += 1  # in the order of the turns, which is the order of the log
-            act = Act(turn, self.now(), self._salts, order=self._turns)
+            act = Act(turn, self.now(), self._salts, order=self._turns, decoded=self._decoded)
             result = job(act)
             turn.put("clock", "high", encode_fast(act.now))
             return result, act
@@ -171,27 +172,43 @@ class Act:
         now: read once for the whole act.
         salts: returns that many fresh random bytes.
         order: number of the turn; a later turn has a greater one.
+        decoded: the last bytes of each standing with what they say; the bytes are always read.
     """
 
-    def __init__(self, turn: Turn, now: Now, salts: Callable[[int], bytes], *, order: int) -> None:
+    def __init__(
+        self,
+        turn: Turn,
+        now: Now,
+        salts: Callable[[int], bytes],
+        *,
+        order: int,
+        decoded: dict[MissionId, tuple[bytes, Standing]],
+    ) -> None:
         self.order = order
+        self._decoded = decoded
         self._turn = turn
         self._salts = salts
         self.now = now
         self.held: dict[MissionId, Standing] = {}
 
     def standing(self, mid: MissionId) -> Standing | None:
-        """Return the registry's entry for a mission."""
+        """Return the registry's entry for a mission; read once in a turn."""
+        if mid in self.held:
+            return self.held[mid]
         held = self._turn.get("standing", mid)
         if held is None:
             return None
-        standing = read_held(held, Standing, "standing")
-        self.held.setdefault(mid, standing)
-        return standing
+        known = self._decoded.get(mid)
+        if known is None or known[0] != held:
+            known = self._decoded[mid] = (held, read_held(held, Standing, "standing"))
+        self.held[mid] = known[1]
+        return known[1]
 
     def hold(self, standing: Standing) -> None:
         """Hold a mission's new standing."""
-        self._turn.put("standing", standing.mid, encode_fast(standing))
+        held = encode_fast(standing)
+        self._turn.put("standing", standing.mid, held)
+        self._decoded[standing.mid] = (held, standing)
         self.held[standing.mid] = standing
 
     def active(self) -> MissionId | None:

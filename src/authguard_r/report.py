@@ -128,7 +128,7 @@ def open_question(
 def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:
     """Return the record of one decision (e_i of `eq:log` and every input of a replay)."""
     decision, mission = judged.decision, judged.verified.mission
-    share = deviation(decision.findings, {})
+    share = deviation(decision.findings, {}) if decision.findings else Fraction(0)
     snapshot = judged.state.snapshot if judged.state is not None else None
     return Entry(
         kind="decision",

@@ -804,3 +804,14 @@ def test_a_bad_token_is_refused_with_one_record_and_nothing_changed(
     added = sim.gate.ledger.store.rows()[before:]
     assert [read_record(row.record, where="").open["reasons"] for row in added] == [[reason]]
     assert worlds.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
+
+
+def test_a_mission_whose_token_is_gone_is_refused() -> None:
+    sim = ready()
+    sim.gate.enforcer.intake.forget()
+    held = sim.gate.ledger.store._held
+    for key in [key for key in held if key[0] == "token"]:
+        del held[key]
+    report = worlds.propose(sim, GO)
+    assert report.refusal.reason is Reason.STORE_CORRUPT
+    assert sim.robot.trace == []

@@ -17,8 +17,6 @@ order is primary. Spec page: docs/spec/decision.md
 
 from __future__ import annotations
 
-from itertools import chain
-
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks import GRANT_CHECKS, MISSION_CHECKS, ROW_CHECKS, Case
@@ -28,7 +26,6 @@ from authguard_r.core.checks.provenance import selectable_rows
 from authguard_r.core.decision import Decision, Match, Verdict
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, in_paper_order
-from authguard_r.core.mission import Row
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
@@ -96,50 +93,44 @@ def decide(
 def find_match(case: Case) -> Match:
     """Return the first grant in signed order without findings, else the one with fewest.
 
-    Ties go to signed order. Only a grant of the action's type can be without findings, so these
-    are looked at first; another is given up as soon as it cannot win any more.
+    Ties go to signed order. Only grants of the action's type can be without findings, so they are
+    tried alone first. None is looked at for longer than it can still be the answer.
     """
-    won: Match | None = None
-    best: tuple[int, int] | None = None  # how many findings, place in signed order
-    grants, same = case.verified.grants, case.verified.by_type.get(case.action.type, ())
-    for place in chain(same, range(len(grants))):
-        match = _match(case, grants[place], place, best)
-        if match is None:
-            continue
-        won, best = match, (len(match.findings), place)
-        if not match.findings:
-            break
-    if won is None:  # pragma: no cover - the schema demands one grant
+    action, grants = case.action, case.verified.grants
+    same = [grants[place] for place in case.verified.by_type.get(action.type, ())]
+    for indexed in same:
+        if (action.object, action.source, action.destination) in indexed.rows:
+            match = _match(case, indexed, under=1)
+            if match is not None:
+                return match
+    # the first of the type with a single finding: only an earlier grant can have as few
+    one = next(filter(None, (_match(case, indexed, under=2) for indexed in same)), None)
+    best, under = None, 2 if one is not None else 1 << 30  # no grant has so many
+    for indexed in grants:
+        if one is not None and indexed is one.indexed:
+            return best or one
+        match = _match(case, indexed, under=under)
+        if match is not None:
+            best, under = match, len(match.findings)
+    if best is None:  # pragma: no cover - the schema demands one grant
         raise RuntimeError("a mission without grants was verified")
-    return won
+    return best
 
 
-def _match(
-    case: Case, indexed: IndexedGrant, place: int, best: tuple[int, int] | None
-) -> Match | None:
-    """Return the grant with its best row, or None once `best` cannot be beaten any more."""
+def _match(case: Case, indexed: IndexedGrant, *, under: int) -> Match | None:
+    """Return the grant with its best row, or None when there are `under` findings or more."""
     own: list[Finding] = []
     for check in GRANT_CHECKS:
         own += check(case, indexed)
-        if best is not None and (len(own), place) >= best:
-            return None  # not even its own second look does better
-    row, found = _best_row(case, indexed)
-    if best is not None and (len(own) + len(found), place) >= best:
-        return None
-    return Match(indexed=indexed, row=row, findings=(*own, *found))
-
-
-def _best_row(case: Case, indexed: IndexedGrant) -> tuple[Row, list[Finding]]:
-    """Return the first row without findings, else the one with fewest, ties in signed order."""
-    best: tuple[Row, list[Finding]] | None = None
+        if len(own) >= under:
+            return None
+    best: Match | None = None
     for row in selectable_rows(indexed.grant, case.standing):
-        found: list[Finding] = []
-        for check in ROW_CHECKS:
-            found += check(case, row)
-        if best is None or len(found) < len(best[1]):
-            best = (row, found)
-        if not found:
-            break
-    if best is None:  # pragma: no cover - the schema demands one row
-        raise RuntimeError("a grant without rows was verified")
+        found = [*own]
+        for row_check in ROW_CHECKS:
+            found += row_check(case, row)
+            if len(found) >= under:
+                break
+        else:
+            best, under = Match(indexed=indexed, row=row, findings=tuple(found)), len(found)
     return best

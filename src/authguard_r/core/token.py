@@ -73,10 +73,11 @@ class Principal(Struct, frozen=True, kw_only=True):
 
 
 class IndexedGrant(Struct, frozen=True):
-    """A grant with its limits keyed by parameter."""
+    """A grant with its limits keyed by parameter, and what its rows say of object and places."""
 
     grant: Grant
     limits: dict[ParameterId, Limit]
+    rows: frozenset[tuple[str | None, str | None, str | None]]
 
 
 class VerifiedMission(Struct, frozen=True, kw_only=True):
@@ -187,7 +188,14 @@ def verify_mission(
 
 def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> VerifiedMission:
     """Return the mission with its sets and limits keyed for look-up; checks nothing."""
-    grants = tuple(IndexedGrant(g, {x.parameter: x for x in g.limits}) for g in mission.actions)
+    grants = tuple(
+        IndexedGrant(
+            grant,
+            {limit.parameter: limit for limit in grant.limits},
+            frozenset((row.object, row.source, row.destination) for row in grant.alternatives),
+        )
+        for grant in mission.actions
+    )
     by_type: dict[ActionType, tuple[int, ...]] = {}
     for place, grant in enumerate(mission.actions):
         by_type[grant.type] = (*by_type.get(grant.type, ()), place)

@@ -229,7 +229,7 @@ def _require_profile(
 def _public_key(cert: x509.Certificate, *, where: str) -> object:
     try:
         return cert.public_key()
-    except (ValueError, UnsupportedAlgorithm) as error:
+    except (ValueError, UnsupportedAlgorithm) as error:  # pragma: no cover - needs such an issuer
         raise AuthenticityError(
             "expected an Ed25519 key", reason=Reason.KEY_INVALID, where=where
         ) from error

@@ -8,13 +8,14 @@ Spec page: docs/spec/normalize.md
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
 from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.identifiers import MAX_INTEGER, ObjectId, ParameterId, RegionId
+from authguard_r.core.identifiers import MAX_INTEGER, ParameterId
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import Argument, Binding, ToolBinding, Use
 from authguard_r.normalize.dialects import Call
@@ -37,8 +38,14 @@ class Binder:
         self._binding = binding
         self._regions = _spellings({r: m.names for r, m in site.regions.items()})
         self._objects = _spellings({o: m.names for o, m in site.objects.items()})
-        arguments = [a for tool in binding.tools.values() for a in tool.arguments.values()]
-        self._factors = {a.per_unit: Fraction(a.per_unit) for a in arguments}
+        self._readers = {
+            name: tuple(
+                (key, argument, self._reader(argument, tool))
+                for key, argument in tool.arguments.items()
+                if argument.use is not Use.NOTED
+            )
+            for name, tool in binding.tools.items()
+        }
 
     def bind(self, call: Call) -> Action:
         """Return the action that the call means, without provenance and meta.
@@ -60,14 +67,14 @@ class Binder:
                 f"`{call.tool}` changes what the robot believes; no planner may",
                 call.where,
             )
-        unknown = sorted(set(call.arguments) - set(tool.arguments))
-        if unknown:
-            place = f"{call.where}.{ascii(unknown[0])[1:-1][:80]}"
+        if not call.arguments.keys() <= tool.arguments.keys():
+            unknown = min(call.arguments.keys() - tool.arguments.keys())
+            place = f"{call.where}.{ascii(unknown)[1:-1][:80]}"
             raise _refusal(Reason.FIELD_UNKNOWN, f"`{call.tool}` has no such field", place)
         fields = self._collect(call, tool)
         params = {
-            ParameterId(target.removeprefix("params.")): value
-            for target, value in fields.items()
+            ParameterId(target.removeprefix("params.")): fields[target]
+            for target in sorted(fields)
             if target.startswith("params.")
         }
         return Action(
@@ -77,7 +84,7 @@ class Binder:
             source=fields.get("source"),
             destination=fields.get("destination"),
             route=fields.get("route", ()),
-            params=dict(sorted(params.items())),
+            params=params,
         )
 
     def attested(self, call: Call) -> tuple[str, ...]:
@@ -90,16 +97,12 @@ class Binder:
 
     def _collect(self, call: Call, tool: ToolBinding) -> dict[str, Any]:
         fields: dict[str, Any] = dict(tool.fixed)
-        for name, argument in tool.arguments.items():
+        for name, argument, reader in self._readers[call.tool]:
             where = f"{call.where}.{name}"
-            if argument.use is Use.NOTED:
-                continue
-            if name not in call.arguments:
+            if name in call.arguments:
+                fields[argument.to] = reader(call.arguments[name], where)
+            else:
                 self._absent(fields, argument, where)
-                continue
-            if argument.use is Use.REFUSED:
-                raise _refusal(Reason.FIELD_REFUSED, "expected the field to be left out", where)
-            fields[argument.to] = self._value(call.arguments[name], argument, tool, where)
         return fields
 
     @staticmethod
@@ -109,21 +112,31 @@ class Binder:
         if argument.default is not None:
             fields[argument.to] = argument.default
 
-    def _value(self, value: Any, argument: Argument, tool: ToolBinding, where: str) -> Any:
+    def _reader(self, argument: Argument, tool: ToolBinding) -> Callable[[Any, str], Any]:
+        """Return what turns a planner's value, at a place, into the argument's target."""
+        if argument.use is Use.REFUSED:
+            return _refuse
         if argument.to == "object":
-            return ObjectId(_resolve(value, self._objects, "object", where))
+            return lambda value, where: _resolve(value, self._objects, "object", where)
         if argument.to in {"source", "destination"}:
-            return RegionId(_resolve(value, self._regions, "region", where))
+            return lambda value, where: _resolve(value, self._regions, "region", where)
         if argument.to == "route":
-            if not isinstance(value, list) or len(value) > MAX_ROUTE:
-                raise _refusal(Reason.VALUE_INVALID, "expected a list of regions", where)
-            return tuple(
-                RegionId(_resolve(item, self._regions, "region", f"{where}[{n}]"))
-                for n, item in enumerate(value)
-            )
+            return self._route
         name = ParameterId(argument.to.removeprefix("params."))
         parameter = self._site.vocabulary[tool.type].params[name]
-        return scale(value, parameter, per_unit=self._factors[argument.per_unit], where=where)
+        per_unit = Fraction(argument.per_unit)
+        return lambda value, where: scale(value, parameter, per_unit=per_unit, where=where)
+
+    def _route(self, value: Any, where: str) -> tuple[str, ...]:
+        if not isinstance(value, list) or len(value) > MAX_ROUTE:
+            raise _refusal(Reason.VALUE_INVALID, "expected a list of regions", where)
+        return tuple(
+            _resolve(item, self._regions, "region", f"{where}[{n}]") for n, item in enumerate(value)
+        )
+
+
+def _refuse(value: Any, where: str) -> Any:  # noqa: ARG001 - whatever it is
+    raise _refusal(Reason.FIELD_REFUSED, "expected the field to be left out", where)
 
 
 def scale(value: Any, parameter: Parameter, *, per_unit: Fraction, where: str) -> int:
@@ -140,8 +153,11 @@ def scale(value: Any, parameter: Parameter, *, per_unit: Fraction, where: str) -
     """
     if isinstance(value, bool) or not isinstance(value, int | Decimal):
         raise _refusal(Reason.VALUE_INVALID, "expected a number", where)
-    exact = Fraction(value) * per_unit
-    whole = _rounded(exact, parameter.rounding, where)
+    top, bottom = value.as_integer_ratio()
+    top, bottom = top * per_unit.numerator, bottom * per_unit.denominator
+    whole, left = divmod(top, bottom)
+    if left:
+        whole = _rounded(Fraction(top, bottom), parameter.rounding, where)
     if not parameter.low <= whole <= parameter.high or abs(whole) > MAX_INTEGER:
         raise _refusal(
             Reason.VALUE_OUT_OF_RANGE,
@@ -152,8 +168,6 @@ def scale(value: Any, parameter: Parameter, *, per_unit: Fraction, where: str) -
 
 
 def _rounded(exact: Fraction, rounding: Rounding, where: str) -> int:
-    if exact.denominator == 1:
-        return exact.numerator
     if rounding is Rounding.COUNT:
         raise _refusal(Reason.VALUE_INVALID, "expected a whole number", where)
     if rounding is Rounding.POSITION:

@@ -117,7 +117,11 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     kind = site.vocabulary.get(tool.type)
     if kind is None:
         yield "type", f"expected an action type of the site, got `{tool.type}`"
-        return
+    else:
+        yield from _kind_faults(tool, kind, site)
+
+
+def _kind_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterator[tuple[str, str]]:
     wanted = {*kind.fields, *(f"params.{name}" for name in kind.params)}
     origins: list[str] = [*tool.fixed, *tool.attested]
     yield from _settled_faults(tool, kind, site)

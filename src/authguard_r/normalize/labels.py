@@ -39,9 +39,9 @@ def _fixed(
     field: str, action: Action, verified: VerifiedMission, standing: Standing | None
 ) -> bool:
     """True when the mission leaves exactly this value for the field of this action type."""
-    left = {
-        getattr(row, field)
-        for place in verified.by_type.get(action.type, ())
-        for row in open_rows(verified.grants[place].grant, standing, action.source)
-    }
-    return left == {getattr(action, field)}
+    places, value = verified.by_type.get(action.type, ()), getattr(action, field)
+    for place in places:
+        for row in open_rows(verified.grants[place].grant, standing, action.source):
+            if getattr(row, field) != value:
+                return False
+    return bool(places)

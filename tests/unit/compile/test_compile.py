@@ -202,3 +202,13 @@ def test_an_expired_mission_is_extended_and_a_parameter_gets_its_bounds() -> Non
     limits = {x.parameter: (x.low, x.high) for x in new.actions[0].limits}
     assert limits == {"speed_mm_s": (50, 1_000), "x_mm": (3, 3)}
     assert new.limits[0].high == 1_000
+
+
+def test_a_task_that_utf8_cannot_spell_and_an_instant_of_another_form_are_refused() -> None:
+    with pytest.raises(MalformedError) as refused:
+        build(worlds.draft(task="Bring \ud800."))
+    assert refused.value.where == "task"
+    for instant in ("2030-01-01T14:30", "2030-01-01T14:30:00+02:00", "2030-02-30T14:30:00Z"):
+        window = {"not_before": instant, "expiry": "2031-01-01T00:00:00Z"}
+        with pytest.raises(MalformedError):
+            build(worlds.draft(window=window))

@@ -73,7 +73,7 @@ def check_data_rights(case: Case, indexed: IndexedGrant) -> Findings:
 def check_order(case: Case, indexed: IndexedGrant) -> Findings:
     """(6) What must come first has succeeded since; what ends the grant has not."""
     standing, grant = case.standing, indexed.grant
-    if standing is None:
+    if standing is None or not (grant.after or grant.until or standing.status is Status.CLOSING):
         return ()
     mine = use_of(standing, grant.id).last_success
     found = [
@@ -101,7 +101,7 @@ def check_uses(case: Case, indexed: IndexedGrant) -> Findings:
         return ()
     use = use_of(standing, grant.id)
     found: list[Finding] = []
-    taken = use.successes + in_flight(standing, grant.id)
+    taken = use.successes + (in_flight(standing, grant.id) if standing.open else 0)
     if taken >= grant.repeat:
         found.append(
             Finding("grant.repeat", Reason.REPEAT_EXHAUSTED, f"under {grant.repeat}", str(taken))
@@ -122,7 +122,7 @@ def check_budgets(case: Case, indexed: IndexedGrant) -> Findings:
         return ()
     found: list[Finding] = []
     since = case.now.mono_ms - budgets.rate.per_ms
-    recent = sum(1 for at in standing.releases if at > since)
+    recent = len([at for at in standing.releases if at > since])
     if recent >= budgets.rate.count:
         rate = f"under {budgets.rate.count} in {budgets.rate.per_ms} ms"
         found.append(Finding("budgets.rate", Reason.RATE_EXCEEDED, rate, str(recent)))
@@ -144,8 +144,8 @@ def check_budgets(case: Case, indexed: IndexedGrant) -> Findings:
 def check_grant_guards(case: Case, indexed: IndexedGrant) -> Findings:
     """(6) Every guard of the grant holds on attested, fresh state."""
     rid = case.facts.robot.rid
-    found = (guard_finding(g, case.state, rid, case.now) for g in indexed.grant.guards)
-    return tuple(finding for finding in found if finding is not None)
+    found = [guard_finding(g, case.state, rid, case.now) for g in indexed.grant.guards]
+    return tuple([finding for finding in found if finding is not None])
 
 
 def spend_of(kind: ActionKind | None, grant: Grant, params: dict[ParameterId, int]) -> Spend:

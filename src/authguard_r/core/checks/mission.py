@@ -127,20 +127,14 @@ def check_ceilings(case: Case) -> Findings:
     found: list[Finding] = []
     if action.object is not None and action.object not in verified.objects:
         found.append(_outside("object", Reason.OBJECT_OUT_OF_SCOPE, action.object))
-    places = (
-        ("source", Reason.SOURCE_OUT_OF_SCOPE, action.source),
-        ("destination", Reason.DESTINATION_OUT_OF_SCOPE, action.destination),
-    )
-    found += [
-        _outside(field, reason, region)
-        for field, reason, region in places
-        if region is not None and region not in verified.regions
-    ]
-    found += [
-        _outside(f"route[{number}]", Reason.ROUTE_OUT_OF_SCOPE, region)
-        for number, region in enumerate(action.route)
-        if region not in verified.regions
-    ]
+    source, destination, regions = action.source, action.destination, verified.regions
+    if source is not None and source not in regions:
+        found.append(_outside("source", Reason.SOURCE_OUT_OF_SCOPE, source))
+    if destination is not None and destination not in regions:
+        found.append(_outside("destination", Reason.DESTINATION_OUT_OF_SCOPE, destination))
+    for number, region in enumerate(action.route):
+        if region not in regions:
+            found.append(_outside(f"route[{number}]", Reason.ROUTE_OUT_OF_SCOPE, region))
     for parameter, limit in verified.limits.items():
         value = action.params.get(parameter, limit.low)
         if not limit.low <= value <= limit.high:
@@ -158,8 +152,8 @@ def check_ceilings(case: Case) -> Findings:
 def check_mission_guards(case: Case) -> Findings:
     """(6) Every mission-wide guard holds on attested, fresh state."""
     rid = case.facts.robot.rid
-    found = (guard_finding(g, case.state, rid, case.now) for g in case.verified.mission.guards)
-    return tuple(finding for finding in found if finding is not None)
+    found = [guard_finding(g, case.state, rid, case.now) for g in case.verified.mission.guards]
+    return tuple([finding for finding in found if finding is not None])
 
 
 def _outside(field: str, reason: Reason, got: str) -> Finding:

@@ -31,6 +31,8 @@ def check_provenance(case: Case, indexed: IndexedGrant) -> Findings:
     if len(grant.alternatives) == 1 or grant.chooser is Chooser.PLANNER:
         return ()
     rows = open_rows(grant, case.standing, case.action.source)
+    if len(rows) == 1:
+        return ()
     return tuple(
         Finding(
             field,
@@ -49,13 +51,15 @@ def open_rows(grant: Grant, standing: Standing | None, source: str | None) -> tu
     The source counts because it must equal the attested place: a wrong one is refused anyway.
     """
     rows = selectable_rows(grant, standing)
-    same = tuple(row for row in rows if row.source is None or row.source == source)
+    same = tuple([row for row in rows if row.source is None or row.source == source])
     return same or rows
 
 
 def selectable_rows(grant: Grant, standing: Standing | None) -> tuple[Row, ...]:
     """Return the rows that may match: the selected one when there is a selection."""
-    index = standing.selected.get(grant.id) if standing is not None else None
+    if standing is None or not standing.selected:
+        return grant.alternatives
+    index = standing.selected.get(grant.id)
     if index is None or not 0 <= index < len(grant.alternatives):
         return grant.alternatives
     return (grant.alternatives[index],)
