@@ -115,14 +115,19 @@ def counted() -> dict[str, int]:
 
 
 class _Fresh:
-    """A trust root that forgets what it has seen."""
+    """A trust root that has seen no certificate; read long before it is asked, as in a process."""
+
+    AHEAD = 64
 
     def __init__(self) -> None:
-        self.trust = read_trust(worlds.trust_folder())
+        self._ready: list[Trust] = []
+        self.renew()
 
     def renew(self) -> None:
-        """Read the trust root anew."""
-        self.trust = read_trust(worlds.trust_folder())
+        """Take the next one, so that reading files just before does not empty the caches."""
+        if not self._ready:
+            self._ready = [read_trust(worlds.trust_folder()) for _ in range(self.AHEAD)]
+        self.trust = self._ready.pop()
 
 
 def _verify(token: bytes, trust: Trust) -> VerifiedMission:

@@ -31,7 +31,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.ledger import Ledger
+from authguard_r.ledger import High, Ledger
 from authguard_r.management import Management
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
@@ -270,7 +270,7 @@ def store_clock(store: Path) -> Clock:
             return SystemClock()
         if read_record(first.record, where="record 0").open.get("clock") != SIMULATED:
             return SystemClock()
-        return _SimulatedSince(decode(high, Now, where="store.clock").utc_ms)
+        return _SimulatedSince(decode(high, High, where="store.clock").utc_ms)
     except (StoreError, MalformedError):
         return SystemClock()  # opening the store says what is wrong with it
 

@@ -116,7 +116,6 @@ class Enforcer:
         def job(act: Act) -> tuple[Judged, int]:
             judged = self._judge(act, step, planner=planner, evidence=evidence, base=base)
             self._commit(act, judged)
-            self.intake.keep_order(act)
             return judged, act.record(decision_entry(judged, influences))
 
         try:
@@ -315,7 +314,6 @@ class Enforcer:
                 raise StoreError("the registry's entry is gone", reason=Reason.STORE_CORRUPT)
             after = settle(standing, mission, ticket=judged.ticket, outcome=outcome, used=used)
             act.hold(finish(after, mission, act.now))
-            self.intake.keep_order(act)
             return act.record(outcome_entry(judged, outcome, findings, used, act.now))
 
         recorded = self._quietly(lambda: self._ledger.run(job)) is not None

@@ -59,8 +59,6 @@ class Intake:
         self._verified: dict[Digest, VerifiedMission] = {}
         self._state: AttestedState | None = None
         self._seen: bytes | None = None
-        held = ledger.peek("state", "last")
-        self._last = (-1, -1) if held is None else read_held(held, tuple[int, int], "state")
 
     @property
     def state(self) -> AttestedState | None:
@@ -91,10 +89,6 @@ class Intake:
                 )
             )
         return self._state
-
-    def keep_order(self, act: Act) -> None:
-        """Hold which snapshot was the last, so that a restart does not take an old one for new."""
-        act.put("state", "last", encode_fast(self._last))
 
     def active_mission(self, act: Act) -> VerifiedMission:
         """Return the one active mission, verified once and kept by the digest of its bytes.
@@ -182,11 +176,12 @@ class Intake:
             verifier=self._verifier,
             now=now,
         )
-        if (snapshot.epoch, snapshot.seq) <= self._last:
+        last = self._ledger.snapshot
+        if (snapshot.epoch, snapshot.seq) <= last:
             raise AuthenticityError(
-                f"expected a snapshot after epoch {self._last[0]}, seq {self._last[1]}",
+                f"expected a snapshot after epoch {last[0]}, seq {last[1]}",
                 reason=Reason.STATE_REPLAYED,
                 where="state.seq",
             )
-        self._last = (snapshot.epoch, snapshot.seq)
+        self._ledger.snapshot = (snapshot.epoch, snapshot.seq)
         return attest(snapshot, self._facts, arrived_mono_ms=now.mono_ms)

@@ -13,6 +13,8 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
+from msgspec import Struct
+
 from authguard_r.audit.record import Entry, append
 from authguard_r.core.encoding import decode, encode_fast
 from authguard_r.core.errors import ClockError, MalformedError, StoreError
@@ -27,8 +29,25 @@ T = TypeVar("T")
 SKEW_MS = 2_000
 
 
+class High(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What never runs backwards, written with every commit and read when a gate starts.
+
+    Args:
+        utc_ms: trusted time of the commit.
+        mono_ms: the gate's monotonic clock at the commit.
+        snapshot: epoch and seq of the newest snapshot that was taken in, (-1, -1) before any.
+    """
+
+    utc_ms: int
+    mono_ms: int
+    snapshot: tuple[int, int]
+
+
 class Ledger:
     """One robot's store, clock and source of salts.
+
+    `snapshot` is the epoch and seq of the newest snapshot, set by the intake and held with every
+    commit, so that a restart does not take an old one for new.
 
     Args:
         store: durable before it answers.
@@ -56,6 +75,7 @@ class Ledger:
         self._mono_base = 0
         self._mono_start = clock.mono_ms()
         self._high = Now(0, 0)
+        self.snapshot = (-1, -1)
         self._standings: dict[MissionId, tuple[int, Standing]] = {}
         self._decoded: dict[MissionId, tuple[bytes, Standing]] = {}
         self._turns = 0
@@ -91,7 +111,7 @@ class Ledger:
             self._turns += 1  # in the order of the turns, which is the order of the log
             act = Act(turn, self.now(), self._salts, order=self._turns, decoded=self._decoded)
             result = job(act)
-            turn.put("clock", "high", encode_fast(act.now))
+            turn.put("clock", "high", self._marks(act.now))
             return result, act
 
         result, act = self.store.run(turn_job)
@@ -99,18 +119,13 @@ class Ledger:
             self._remember(act)
         return result
 
+    def _marks(self, now: Now) -> bytes:
+        return encode_fast(High(utc_ms=now.utc_ms, mono_ms=now.mono_ms, snapshot=self.snapshot))
+
     def standing(self, mid: MissionId) -> Standing | None:
         """Return the standing as last committed, without waiting for a turn."""
         known = self._standings.get(mid)
         return None if known is None else known[1]
-
-    def peek(self, kind: str, key: str) -> bytes | None:
-        """Return a held value as last committed.
-
-        Raises:
-            StoreError: the store cannot be read.
-        """
-        return self.store.run(lambda turn: turn.get(kind, key))
 
     def note(self, entry: Callable[[int], Entry]) -> int:
         """Record something that needs no trustworthy clock: a refusal, a stop, an alert.
@@ -144,8 +159,9 @@ class Ledger:
     def _open(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         held = turn.get("clock", "high")
         if held is not None:
-            self._high = read_held(held, Now, "clock")
-            self._mono_base = self._high.mono_ms
+            high = read_held(held, High, "clock")
+            self._high = Now(high.utc_ms, high.mono_ms)
+            self._mono_base, self.snapshot = high.mono_ms, high.snapshot
         if turn.head()[0] == 0:
             entry = Entry(
                 kind="genesis",

@@ -150,6 +150,31 @@ def test_the_last_value_put_is_the_one_held(opened: Opened) -> None:
     assert held(opened.store, "a") == b"3"
 
 
+def test_more_values_than_a_store_remembers_are_all_held(opened: Opened) -> None:
+    count = 200
+
+    def put(turn: Turn) -> None:
+        for number in range(count):
+            turn.put("kind", str(number), b"%d" % number)
+
+    opened.store.run(put)
+    held = opened.store.run(lambda turn: [turn.get("kind", str(n)) for n in range(count + 1)])
+    assert held == [*(b"%d" % number for number in range(count)), None]
+
+
+def test_a_value_of_a_job_that_raised_is_read_from_the_store_again(opened: Opened) -> None:
+    opened.store.run(lambda turn: turn.put("kind", "key", b"before"))
+
+    def fails(turn: Turn) -> None:
+        turn.put("kind", "key", b"after")
+        assert turn.get("kind", "key") == b"after"
+        raise RefusedError("no", reason=Reason.ROLE_DENIED)
+
+    with pytest.raises(RefusedError):
+        opened.store.run(fails)
+    assert opened.store.run(lambda turn: turn.get("kind", "key")) == b"before"
+
+
 def test_kinds_keep_their_keys_apart(opened: Opened) -> None:
     opened.store.run(lambda turn: [turn.put(kind, "key", kind.encode()) for kind in "ab"])
     assert opened.store.run(lambda turn: turn.get("a", "key")) == b"a"

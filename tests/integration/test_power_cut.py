@@ -24,9 +24,8 @@ import worlds
 from authguard_r.audit.record import Entry
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
-from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome, Spend, Standing, Use, reserve, settle
-from authguard_r.ledger import Act, Ledger
+from authguard_r.ledger import Act, High, Ledger
 from authguard_r.store.sqlite import SqliteStore, open_store
 
 SEED = int(os.environ.get("AUTHGUARD_SEED", "1704"))
@@ -347,7 +346,7 @@ def require_one_story(rows: tuple[Row, ...], held: dict[tuple[str, str], bytes])
     assert (standing.order, standing.actions) == (successes, actions)
     assert [release.ticket for release in standing.open] == tickets
     # the act that reads the head after a `note` moves the clock and records nothing
-    assert decode(held["clock", "high"], Now).utc_ms >= last_ms
+    assert decode(held["clock", "high"], High).utc_ms >= last_ms
 
 
 class BrokenPromiseError(Exception):

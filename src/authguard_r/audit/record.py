@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from msgspec import Struct
+from msgspec import Raw, Struct
 
 from authguard_r.core.chain import Link, link
 from authguard_r.core.encoding import Tag, b64, decode, digest_of, encode_fast
@@ -87,7 +87,7 @@ def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:
     """
     seq, prev = turn.head()
     sealed = {
-        name: Sealed(salt=b64(salts[16 * n : 16 * n + 16]), value=value)
+        name: Sealed(salt=b64(salts[16 * n : 16 * n + 16]), value=Raw(encode_fast(value)))
         for n, (name, value) in enumerate(sorted(entry.sealed.items()))
     }
     committed = {name: commit(name, item) for name, item in sealed.items()}

@@ -71,9 +71,7 @@ def decide(
     if ended:
         return Decision(verdict=Verdict.REJECT, findings=ended, match=None, need=None)
     # (3) time, (4) registry, (5) robot, (6) ceilings
-    found: list[Finding] = []
-    for check in MISSION_CHECKS:
-        found += check(case)
+    found = [finding for check in MISSION_CHECKS for finding in check(case)]
     # (6) policy
     match = find_match(case)
     found += match.findings

@@ -8,9 +8,9 @@ no child. Source: `eq:mission`. Spec page: docs/spec/mission-language.md
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from enum import StrEnum
-from itertools import pairwise
+from operator import lt
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -290,38 +290,38 @@ def _faults(mission: Mission) -> Iterator[tuple[str, str]]:
         yield "expiry", "expected an instant not before `not_before`"
     if mission.risk_policy.tau_1 > mission.risk_policy.tau_2:
         yield "risk_policy.tau_2", "expected at least `tau_1`"
-    yield from _sorted_sets(mission)
+    yield from _set("objects", mission.objects)
+    yield from _set("regions", mission.regions)
+    yield from _set("risk_policy.roles", mission.risk_policy.roles)
     yield from _limits("limits", mission.limits)
     known = {grant.id for grant in mission.actions}
     if len(known) != len(mission.actions):
         yield "actions", "expected grant ids that differ"
     for number, grant in enumerate(mission.actions):
         yield from _grant_faults(f"actions[{number}]", grant, known)
-    if mission.closing and not known.issuperset(mission.closing.grants):
-        yield "closing.grants", "expected ids of grants of this mission"
+    if mission.closing:
+        yield from _named("closing.grants", mission.closing.grants, known)
 
 
-def _sorted_sets(mission: Mission) -> Iterator[tuple[str, str]]:
-    named: list[tuple[str, Iterable[str]]] = [
-        ("objects", mission.objects),
-        ("regions", mission.regions),
-        ("risk_policy.roles", mission.risk_policy.roles),
-        ("closing.grants", mission.closing.grants if mission.closing else ()),
-    ]
-    for number, grant in enumerate(mission.actions):
-        place = f"actions[{number}]"
-        named += [(f"{place}.after", grant.after), (f"{place}.until", grant.until)]
-        named += [
-            (f"{place}.alternatives[{index}].regions", row.regions)
-            for index, row in enumerate(grant.alternatives)
-        ]
-    for place, items in named:
-        if not all(a < b for a, b in pairwise(items)):
-            yield place, "expected a sorted set without repeats"
+def _rising(items: tuple[str, ...]) -> bool:
+    return len(items) < 2 or all(map(lt, items, items[1:]))
+
+
+def _set(place: str, items: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    if not _rising(items):
+        yield place, "expected a sorted set without repeats"
+
+
+def _named(
+    place: str, grants: tuple[ids.GrantId, ...], known: set[ids.GrantId]
+) -> Iterator[tuple[str, str]]:
+    yield from _set(place, grants)
+    if not known.issuperset(grants):
+        yield place, "expected ids of grants of this mission"
 
 
 def _limits(place: str, limits: tuple[Limit, ...]) -> Iterator[tuple[str, str]]:
-    if not all(a.parameter < b.parameter for a, b in pairwise(limits)):
+    if not _rising(tuple([limit.parameter for limit in limits])):
         yield place, "expected limits sorted by parameter, one for each"
     for number, limit in enumerate(limits):
         if limit.low > limit.high:
@@ -331,18 +331,18 @@ def _limits(place: str, limits: tuple[Limit, ...]) -> Iterator[tuple[str, str]]:
 def _grant_faults(place: str, grant: Grant, known: set[ids.GrantId]) -> Iterator[tuple[str, str]]:
     if grant.starts < grant.repeat:
         yield f"{place}.starts", "expected at least `repeat`"
-    for field, named in (("after", grant.after), ("until", grant.until)):
-        if not known.issuperset(named):
-            yield f"{place}.{field}", "expected ids of grants of this mission"
+    yield from _named(f"{place}.after", grant.after, known)
+    yield from _named(f"{place}.until", grant.until, known)
     if grant.id in grant.after or grant.id in grant.until:
         yield f"{place}.id", "expected a grant that does not wait for itself"
     if len(set(grant.alternatives)) != len(grant.alternatives):
         yield f"{place}.alternatives", "expected rows that differ"
     yield from _limits(f"{place}.limits", grant.limits)
     for index, row in enumerate(grant.alternatives):
-        ends = {region for region in (row.source, row.destination) if region is not None}
-        if not ends.issubset(row.regions):
-            yield (
-                f"{place}.alternatives[{index}].regions",
-                "expected to hold the row's source and destination",
-            )
+        yield from _set(f"{place}.alternatives[{index}].regions", row.regions)
+        for end in (row.source, row.destination):
+            if end is not None and end not in row.regions:
+                yield (
+                    f"{place}.alternatives[{index}].regions",
+                    "expected to hold the row's source and destination",
+                )

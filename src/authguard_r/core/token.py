@@ -16,7 +16,6 @@ from authguard_r.core.encoding import Tag, b64, decode, digest, encode, encode_f
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import (
     ActionType,
-    Base64Url,
     Digest,
     Identifier,
     ObjectId,
@@ -40,8 +39,8 @@ class Endorsement(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         signature: over the 32 bytes of the payload's digest under the token's tag.
     """
 
-    chain: Annotated[tuple[Base64Url, ...], Meta(min_length=2, max_length=2)]
-    signature: Base64Url
+    chain: Annotated[tuple[str, ...], Meta(min_length=2, max_length=2)]
+    signature: str
 
 
 class Token(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -54,7 +53,7 @@ class Token(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: Tag
-    payload: Base64Url
+    payload: str
     endorsements: Annotated[tuple[Endorsement, ...], Meta(min_length=1, max_length=4)]
 
 

@@ -26,6 +26,7 @@ from authguard_r.keys.ed25519 import require_sound
 
 #: An arc below 2.25 (a random UUID), which needs no registration.
 _ARC = "2.25.249240886789462354738743776298903117701"
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _PRINCIPAL = "urn:authguard-r:principal:"
 _ROBOT = "urn:authguard-r:robot:"
 _PROFILE = "urn:authguard-r:profile:"
@@ -155,10 +156,11 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
     """
     authority = load(authority_der, where="certificate.authority")
     leaf = load(leaf_der, where="certificate.leaf")
-    allowed = _require_authority(authority, root, now)
+    moment = _EPOCH + timedelta(milliseconds=now.utc_ms)
+    allowed = _require_authority(authority, root, moment)
     _require_issued(leaf, authority, where="certificate.leaf")
     _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
-    _require_dates(leaf, now, where="certificate.leaf")
+    _require_dates(leaf, moment, where="certificate.leaf")
     key = require_sound(_public_key(leaf, where="certificate.leaf"), where="certificate.leaf")
     roles = _roles(leaf, where="certificate.leaf")
     if len(roles) != 1 or not roles <= allowed:
@@ -184,13 +186,13 @@ def is_demo(root: x509.Certificate) -> bool:
 
 
 def _require_authority(
-    authority: x509.Certificate, root: x509.Certificate, now: Now
+    authority: x509.Certificate, root: x509.Certificate, moment: datetime
 ) -> frozenset[Role]:
     where = "certificate.authority"
     _require_issued(authority, root, where=where)
     _require_profile(authority, ca=True, path_length=0, where=where)
-    _require_dates(root, now, where="certificate.root")
-    _require_dates(authority, now, where=where)
+    _require_dates(root, moment, where="certificate.root")
+    _require_dates(authority, moment, where=where)
     require_sound(_public_key(authority, where=where), where=where)
     return _roles(authority, where=where)
 
@@ -235,13 +237,11 @@ def _public_key(cert: x509.Certificate, *, where: str) -> object:
         ) from error
 
 
-def _require_dates(cert: x509.Certificate, now: Now, *, where: str) -> None:
-    first = int(cert.not_valid_before_utc.timestamp()) * 1000
-    last = int(cert.not_valid_after_utc.timestamp()) * 1000
-    if not first <= now.utc_ms <= last:
+def _require_dates(cert: x509.Certificate, moment: datetime, *, where: str) -> None:
+    first, last = cert.not_valid_before_utc, cert.not_valid_after_utc
+    if not first <= moment <= last:
         raise AuthenticityError(
-            f"expected an instant from {cert.not_valid_before_utc:%Y-%m-%dT%H:%M:%SZ} "
-            f"to {cert.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}",
+            f"expected an instant from {first:%Y-%m-%dT%H:%M:%SZ} to {last:%Y-%m-%dT%H:%M:%SZ}",
             reason=Reason.CERTIFICATE_EXPIRED,
             where=where,
         )

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.reasons import Reason
@@ -31,12 +30,16 @@ def public_key(raw: bytes, *, where: str) -> Ed25519PublicKey:
     """
     if len(raw) != 32:
         raise _invalid(f"expected 32 bytes, got {len(raw)}", where)
+    _require_sound(raw, where=where)
+    return Ed25519PublicKey.from_public_bytes(raw)
+
+
+def _require_sound(raw: bytes, *, where: str) -> None:
     y = int.from_bytes(raw, "little") & (2**255 - 1)
     if y >= _P:
         raise _invalid("expected a canonical key", where)
     if y in _LOW_ORDER:
         raise _invalid("expected a key that is not of low order", where)
-    return Ed25519PublicKey.from_public_bytes(raw)
 
 
 def require_sound(key: object, *, where: str) -> Ed25519PublicKey:
@@ -47,7 +50,7 @@ def require_sound(key: object, *, where: str) -> Ed25519PublicKey:
     """
     if not isinstance(key, Ed25519PublicKey):
         raise _invalid(f"expected an Ed25519 key, got {type(key).__name__}", where)
-    public_key(key.public_bytes(Encoding.Raw, PublicFormat.Raw), where=where)
+    _require_sound(key.public_bytes_raw(), where=where)
     return key
 
 

@@ -30,6 +30,8 @@ FORMAT = 1
 #: First SQLite without the WAL-reset corruption bug.
 _OLDEST_SQLITE = (3, 51, 3)
 _MAX_BATCH = 64
+#: Held values that are remembered beside the file.
+_MOST_KNOWN = 64
 
 _SCHEMA = """
 CREATE TABLE held (
@@ -93,13 +95,20 @@ class _SqliteTurn:
         self._connection = connection
         self.size = size
         self.link = link
+        self._known: dict[tuple[str, str], bytes | None] = {}
+
+    def forget(self) -> None:
+        """Read everything again: what was put may have been undone."""
+        self._known.clear()
 
     def get(self, kind: str, key: str) -> bytes | None:
         """Return the value held under the key."""
-        row = _first(
-            self._connection, "SELECT value FROM held WHERE kind = ? AND key = ?", (kind, key)
-        )
-        return None if row is None else _blob(row[0])
+        place = (kind, key)
+        if place not in self._known:
+            query = "SELECT value FROM held WHERE kind = ? AND key = ?"
+            row = _first(self._connection, query, place)
+            self._know(place, None if row is None else _blob(row[0]))
+        return self._known[place]
 
     def put(self, kind: str, key: str, value: bytes) -> None:
         """Hold the value when the turn commits."""
@@ -108,6 +117,13 @@ class _SqliteTurn:
             "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
             (kind, key, value),
         )
+        self._know((kind, key), value)
+
+    def _know(self, place: tuple[str, str], value: bytes | None) -> None:
+        """Keep what is held: the lock is exclusive, so nobody else can change it."""
+        if len(self._known) >= _MOST_KNOWN:
+            self._known.clear()
+        self._known[place] = value
 
     def head(self) -> tuple[int, bytes]:
         """Return the number of records and the last link."""
@@ -182,11 +198,13 @@ class SqliteStore:
         except BaseException as error:  # noqa: BLE001 - handed to the caller of `run`
             self._connection.execute("ROLLBACK TO job")
             self._turn.size, self._turn.link = before
+            self._turn.forget()
             ticket.error = error
         self._connection.execute("RELEASE job")
 
     def _roll_back(self, before: tuple[int, bytes]) -> None:
         self._turn.size, self._turn.link = before
+        self._turn.forget()
         try:
             if self._connection.in_transaction:
                 self._connection.execute("ROLLBACK")

@@ -489,9 +489,7 @@ def test_base64url_has_one_spelling_for_every_byte_string(text: str) -> None:
     assert refusal.where == "x"
 
 
-@pytest.mark.parametrize(
-    "text", ["AB", "AAB", "AA==", "AA=", "=", "AA+A", "AA/A", "!!!!", "AAAA\n\n\n\n", "    AAAA"]
-)
+@pytest.mark.parametrize("text", ["AB", "AAB", "AAAAAAB"])
 def test_a_second_spelling_of_base64url_is_not_canonical(text: str) -> None:
     with pytest.raises(MalformedError) as caught:
         unb64(text, where="token.payload")
@@ -500,7 +498,11 @@ def test_a_second_spelling_of_base64url_is_not_canonical(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["A", "AAAAA", "\u0410\u0410", "\ud800", "AA\u00e9", "AA\n", " AA", "A\0AA"]
+    "text",
+    [
+        *("A", "AAAAA", "\u0410\u0410", "\ud800", "AA\u00e9", "AA\n", " AA", "A\0AA"),
+        *("AA==", "AA=", "AAAA=", "=", "====", "AA+A", "AA/A", "!!!!", "AAAA\n\n\n\n", "    AAAA"),
+    ],
 )
 def test_text_that_is_no_base64url_is_malformed(text: str) -> None:
     with pytest.raises(MalformedError) as caught:
