@@ -99,7 +99,8 @@ def bench(arguments: list[str]) -> int:
 
 def lock(arguments: list[str]) -> int:
     """Work out the lock file: every version, every hash, no host."""
-    command = ["uv", "pip", "compile", "pyproject.toml", "--group", "dev", "--group", "bench"]
+    command = ["uv", "pip", "compile", "pyproject.toml", "--extra", "drafting"]
+    command += ["--group", "dev", "--group", "bench"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
     return run([*command, *how, "-o", LOCK.name, *arguments])
 

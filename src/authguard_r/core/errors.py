@@ -58,13 +58,22 @@ class ClarificationError(AuthGuardError):
         question: one sentence for the operator.
         field: the draft field that the answer fills.
         candidates: the values the site model knows for it, possibly none.
+        others: the further questions that are open beside this one.
     """
 
-    def __init__(self, question: str, *, field: str, candidates: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        question: str,
+        *,
+        field: str,
+        candidates: tuple[str, ...] = (),
+        others: tuple[ClarificationError, ...] = (),
+    ) -> None:
         super().__init__(question, reason=Reason.CLARIFICATION_NEEDED, where=field)
         self.question = question
         self.field = field
         self.candidates = candidates
+        self.others = others
 
 
 class RefusedError(AuthGuardError):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from typing import Any
 
 from authguard_r.core.finding import Finding
 from authguard_r.core.identifiers import RobotId
@@ -17,7 +18,9 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState, Pose, Reading, age_ms
 
-_ORDERED: dict[Comparison, Callable[[int, int], bool]] = {
+_HOLDS: dict[Comparison, Callable[[Any, Any], bool]] = {
+    Comparison.EQ: operator.eq,
+    Comparison.NE: operator.ne,
     Comparison.LT: operator.lt,
     Comparison.LE: operator.le,
     Comparison.GT: operator.gt,
@@ -73,12 +76,7 @@ def unfit_finding(
 
 
 def _holds(guard: Guard, value: object) -> bool:
-    if type(value) is not type(guard.value):
+    equality = guard.comparison in {Comparison.EQ, Comparison.NE}
+    if type(value) is not type(guard.value) or not (equality or type(value) is int):
         return False
-    if guard.comparison is Comparison.EQ:
-        return value == guard.value
-    if guard.comparison is Comparison.NE:
-        return value != guard.value
-    if type(value) is not int or type(guard.value) is not int:
-        return False
-    return _ORDERED[guard.comparison](value, guard.value)
+    return _HOLDS[guard.comparison](value, guard.value)
