@@ -77,8 +77,6 @@ ORDER: list[str] = [
     "NO_ACTIVE_MISSION",
     "TRANSITION_REFUSED",
     "STATE_REPLAYED",
-    "SAFETY_REFUSED",
-    "SAFETY_FAILED",
     "STORE_UNAVAILABLE",
     "STORE_FULL",
     "STORE_READ_ONLY",
@@ -86,7 +84,6 @@ ORDER: list[str] = [
     "STORE_NEWER",
     "CLOCK_BEHIND",
     "CONTROLLER_FAILED",
-    "STOPPED",
     "INTERNAL_FAULT",
 ]
 

@@ -98,7 +98,7 @@ def rho(mission: Json, action: Json, state: Json | None, facts: Json, now: Json)
     total += object_risk(policy, action, facts)
     total += privacy_risk(policy, action, facts)
     for entry in policy.get("parameters", []):
-        value = max(0, action.get("params", {}).get(entry["parameter"], 0))
+        value = abs(action.get("params", {}).get(entry["parameter"], 0))
         # rounded up, in integers: -(-a // b) is the ceiling of a / b
         total += -(-(entry.get("weight", 0) * value) // entry["full_scale"])
     for entry in policy.get("states", []):

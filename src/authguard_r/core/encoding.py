@@ -101,7 +101,7 @@ def decode(data: bytes, kind: type[T], *, where: str = "") -> T:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message, place = _place(str(error), where)
         raise MalformedError(message, where=place) from error
-    if _again(value) != data:
+    if _FAST.encode(value) != data:
         raise MalformedError(
             "the bytes are not the canonical encoding of what they say",
             where=where,
@@ -132,13 +132,6 @@ def unb64(text: str, *, where: str = "") -> bytes:
             "expected base64url without padding", where=where, reason=Reason.NOT_CANONICAL
         )
     return data
-
-
-def _again(value: object) -> bytes:
-    try:
-        return _FAST.encode(value)
-    except (TypeError, ValueError, UnicodeEncodeError):  # a lone surrogate
-        return b""
 
 
 def _place(message: str, where: str) -> tuple[str, str]:

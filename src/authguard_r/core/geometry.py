@@ -7,6 +7,8 @@ Spec page: docs/spec/state.md#place
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from msgspec import Struct
 
 Point = tuple[int, int]
@@ -49,6 +51,48 @@ def may_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
     if _inside(edges, point):
         return True
     return any(_within(a, b, point, margin_mm) for a, b in edges)
+
+
+def may_cross(area: Polygon, path: tuple[Point, ...], margin_mm: int) -> bool:
+    """True when some position within `margin_mm` of the path lies in the polygon or on its edge.
+
+    Args:
+        area: the polygon; map and floor are the caller's to compare.
+        path: corners of the way in order, at least one.
+        margin_mm: how far from the way the robot may be.
+    """
+    if any(may_lie_in(area, point, margin_mm) for point in path):
+        return True
+    edges = tuple(zip(area.points, area.points[1:] + area.points[:1], strict=True))
+    legs = tuple(pairwise(path))
+    return any(_near(leg, edge, margin_mm) for leg in legs for edge in edges)
+
+
+def stopping_margin(margin_mm: int, speed_mm_s: int, *, reaction_ms: int, brake_mm_s2: int) -> int:
+    """Return how far from its pose a robot may come to rest, in millimeters, rounded up.
+
+    Args:
+        margin_mm: of the pose itself.
+        speed_mm_s: the speed at which it is told to stop; its sign does not matter.
+        reaction_ms: time until the brakes act.
+        brake_mm_s2: deceleration, positive.
+    """
+    speed = abs(speed_mm_s)
+    return margin_mm - (-speed * reaction_ms // 1_000) - (-speed * speed // (2 * brake_mm_s2))
+
+
+def _near(leg: tuple[Point, Point], edge: tuple[Point, Point], margin_mm: int) -> bool:
+    """True when two segments cross or an end of the edge comes within the margin of the leg."""
+    (a, b), (c, d) = leg, edge
+    if side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b):
+        return True
+    return _within(a, b, c, margin_mm) or _within(a, b, d, margin_mm)
+
+
+def side(a: Point, b: Point, point: Point) -> int:
+    """Return 1, 0 or -1: left of, on, or right of the line from `a` to `b`."""
+    cross = (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])
+    return (cross > 0) - (cross < 0)
 
 
 def _inside(edges: list[tuple[Point, Point]], point: Point) -> bool:

@@ -59,9 +59,7 @@ TRANSITIONS: dict[tuple[Status, Event], Status] = {
 }
 
 #: A mission that ended stays ended: no event leads out (`Replay resistance`).
-TERMINAL: frozenset[Status] = frozenset(
-    {Status.COMPLETED, Status.REVOKED, Status.EXPIRED, Status.SUPERSEDED}
-)
+TERMINAL: frozenset[Status] = frozenset(Status) - {status for status, _ in TRANSITIONS}
 
 #: Why a mission in this status authorizes nothing. `closing` authorizes its closing grants only.
 REFUSAL: dict[Status, Reason] = {

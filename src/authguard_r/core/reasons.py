@@ -94,8 +94,6 @@ class Reason(StrEnum):
     NO_ACTIVE_MISSION = "NO_ACTIVE_MISSION"
     TRANSITION_REFUSED = "TRANSITION_REFUSED"
     STATE_REPLAYED = "STATE_REPLAYED"
-    SAFETY_REFUSED = "SAFETY_REFUSED"
-    SAFETY_FAILED = "SAFETY_FAILED"
     STORE_UNAVAILABLE = "STORE_UNAVAILABLE"
     STORE_FULL = "STORE_FULL"
     STORE_READ_ONLY = "STORE_READ_ONLY"
@@ -103,7 +101,6 @@ class Reason(StrEnum):
     STORE_NEWER = "STORE_NEWER"
     CLOCK_BEHIND = "CLOCK_BEHIND"
     CONTROLLER_FAILED = "CONTROLLER_FAILED"
-    STOPPED = "STOPPED"
     INTERNAL_FAULT = "INTERNAL_FAULT"
 
 
@@ -125,16 +122,10 @@ _FIRST_OF_STEP: dict[Reason, int] = {
 }
 
 
-def _steps() -> dict[Reason, int]:
-    steps: dict[Reason, int] = {}
-    current = 0
-    for reason in Reason:
-        current = _FIRST_OF_STEP.get(reason, current)
-        steps[reason] = current
-    return steps
-
-
-STEP: dict[Reason, int] = _steps()
+STEP: dict[Reason, int] = {
+    reason: [step for first, step in _FIRST_OF_STEP.items() if ORDER[first] <= ORDER[reason]][-1]
+    for reason in Reason
+}
 
 #: The protected fields of `eq:action-deviation`: what `decide` itself can find, registry, robot,
 #: policy and approvals included (docs/adr/0003-authorization-indicator.md).
@@ -158,11 +149,9 @@ RETRYABLE: frozenset[Reason] = frozenset(
         Reason.GUARD_FALSE,
         Reason.APPROVAL_TIMEOUT,
         Reason.APPROVAL_REQUIRED,
-        Reason.SAFETY_REFUSED,
         Reason.STORE_UNAVAILABLE,
         Reason.STORE_FULL,
         Reason.CLOCK_BEHIND,
         Reason.CONTROLLER_FAILED,
-        Reason.STOPPED,
     }
 )

@@ -270,24 +270,19 @@ def carry_over(old: Standing, old_mission: Mission, new: VerifiedMission) -> Sta
         earlier = before.get(grant.id)
         if earlier is None:
             continue
-        kept = (grant.type, grant.tool, grant.alternatives) == (
-            earlier.type,
-            earlier.tool,
-            earlier.alternatives,
-        )
+        same = ("type", "tool", "alternatives")
+        kept = all(getattr(grant, field) == getattr(earlier, field) for field in same)
         if not kept or grant.starts < use_of(old, grant.id).starts:
             return None
+    fresh = issue(new)
     return _with(
-        issue(new),
-        uses=old.uses,
-        order=old.order,
-        actions=old.actions,
-        spent=old.spent,
-        prompts=old.prompts,
-        planner_stops=old.planner_stops,
-        releases=old.releases,
-        open=old.open,
-        counter=old.counter,
+        old,
+        version=fresh.version,
+        digest=fresh.digest,
+        status=fresh.status,
+        requests=fresh.requests,
+        selected=fresh.selected,
+        closes_ms=fresh.closes_ms,
     )
 
 

@@ -18,14 +18,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState, Pose, Reading, age_ms
 
-_HOLDS: dict[Comparison, Callable[[Any, Any], bool]] = {
-    Comparison.EQ: operator.eq,
-    Comparison.NE: operator.ne,
-    Comparison.LT: operator.lt,
-    Comparison.LE: operator.le,
-    Comparison.GT: operator.gt,
-    Comparison.GE: operator.ge,
-}
+#: The comparisons have the names of Python's own.
+_HOLDS: dict[Comparison, Callable[[Any, Any], bool]] = {c: getattr(operator, c) for c in Comparison}
 
 
 def guard_finding(
