@@ -85,6 +85,20 @@ def _targets(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure
             ("durable.accept", "insert.bare"),
             target=0.15,
         ),
+        _ratio(
+            timings,
+            "normalize_over_json_1kb",
+            "one action normalized with 1 kB of ledger / `json.loads` of the same text",
+            ("normalize.1kB", "json.loads"),
+            target=10,
+        ),
+        _ratio(
+            timings,
+            "normalize_over_json_100kb",
+            "one action normalized with 100 kB of ledger / `json.loads` of the same text",
+            ("normalize.100kB", "json.loads"),
+            target=12,
+        ),
         Figure(
             "revocation_evicts",
             f"the kept mission is gone and the next proposal refused, {revoked['count']} of "

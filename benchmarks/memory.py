@@ -6,6 +6,7 @@ Beside Cedar, Biscuit and bare signatures in the same blocks.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 
 from authguard_r.approvals import answer, open_approval
@@ -20,6 +21,8 @@ from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.normalize import normalize
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.labels import label_fields
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from measure import Effort, Subject, Timing, interleave, timed
@@ -43,6 +46,39 @@ def decisions(effort: Effort) -> dict[str, Timing]:
         if name in {"cedar.rule", "biscuit"}:
             subjects.append(Subject(f"{name}.refuse", _asking(ask, hijacked)))
     return interleave(subjects, effort)
+
+
+#: Bytes of text that reached the planner before it proposed.
+LEDGERS = {"1kB": 1_000, "100kB": 100_000}
+_SEEN = "The porter says that Station 103 is busy and the lift is slow; nobody knows why today. "
+
+
+def normalizing(effort: Effort) -> dict[str, Timing]:
+    """Time one action from the planner's bytes to labels and evidence, beside `json.loads`.
+
+    Reading, binding, labels, and which inputs mentioned what it carries, as the enforcer does it
+    for each proposal; the ledger took its inputs in before, as a client does when they arrive.
+    """
+    here, good = scene(), reply()
+    text = good.decode()
+    subjects = [Subject("json.loads", timed(lambda: json.loads(text)))]
+    for name, size in LEDGERS.items():
+        ledger = ContextLedger(here.binder.spellings())
+        for start in range(0, size, 2_000):
+            seen = (_SEEN * 30)[: min(2_000, size - start)]
+            ledger.add("camera" if start % 4_000 else "document", seen)
+        subjects.append(Subject(f"normalize.{name}", timed(_normalizing(here, good, ledger))))
+    return interleave(subjects, effort)
+
+
+def _normalizing(here: Scene, data: bytes, ledger: ContextLedger) -> Callable[[], object]:
+    def act() -> object:
+        plan = normalize(data, binder=here.binder)
+        action = plan.steps[0].action
+        label_fields(action, here.verified, here.standing, base=ledger.base())
+        return ledger.influences(action)
+
+    return act
 
 
 def tokens(effort: Effort) -> dict[str, Timing]:

@@ -49,6 +49,8 @@ def measure(effort: str, folder: Path) -> dict[str, Any]:
     timings: dict[str, Timing] = {}
     _say("decisions beside cedarpy and Biscuit")
     timings |= memory.decisions(efforts["decisions"])
+    _say("normalizing beside json.loads")
+    timings |= memory.normalizing(efforts["decisions"])
     _say("tokens beside bare signatures")
     timings |= memory.tokens(efforts["tokens"])
     _say("the parts of a decision")

@@ -34,7 +34,8 @@ from authguard_r.normalize import Step
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.sim.robot import Faults, snapshot_of
-from authguard_r.sim.world import WorldState, initial_state
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site, facts_of, profile_digest
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
 

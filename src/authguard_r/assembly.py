@@ -37,7 +37,8 @@ from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, safety_digest
 from authguard_r.sim.robot import Faults, SymbolicRobot
-from authguard_r.sim.world import WorldState, initial_state
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site, facts_of, profile_digest
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_held, read_rows

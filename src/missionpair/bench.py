@@ -30,7 +30,8 @@ from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Report
 from authguard_r.sim.example import bundled_hospital
-from authguard_r.sim.world import WorldState, initial_state
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
 

@@ -25,7 +25,8 @@ from authguard_r.core.state import attest
 from authguard_r.normalize import Step, normalize
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.sim.robot import snapshot_of
-from authguard_r.sim.world import WorldState, delta
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import delta
 from missionpair.bench import Scene, propose
 
 

@@ -29,7 +29,8 @@ from authguard_r.core.state import AttestedState, attest
 from authguard_r.core.token import VerifiedMission
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.sim.robot import snapshot_of
-from authguard_r.sim.world import WorldState, delta
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import delta
 from cases import plain, plain_facts
 
 TRACES = 20_000

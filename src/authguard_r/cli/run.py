@@ -45,7 +45,8 @@ from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Report, average_deviation, plan_deviation
 from authguard_r.safety import open_config
 from authguard_r.sim.robot import Faults
-from authguard_r.sim.world import WorldState, initial_state
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 
 PLANNER = "planner"

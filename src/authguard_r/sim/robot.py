@@ -17,7 +17,6 @@ from msgspec import Struct
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import ControllerError
-from authguard_r.core.geometry import may_lie_in, polygon
 from authguard_r.core.identifiers import Identifier, RegionId, RobotId, VariableId
 from authguard_r.core.lease import Lease
 from authguard_r.core.ports import Signer
@@ -25,15 +24,17 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.core.state import Pose, Reading, Snapshot
 from authguard_r.core.token import sign_object
+from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import (
+    DRIVEN,
     NOTHING,
-    SPEED,
     Point,
-    WorldState,
     delta,
     duration_ms,
     path_length_mm,
     plan_path,
+    region_at,
+    speed_of,
 )
 from authguard_r.site.model import Site
 
@@ -215,21 +216,21 @@ class SymbolicRobot:
         flight = self._flight
         if flight is None or flight.ended is not None:
             return
-        if flight.action.type == "navigate":
+        self._left_ms -= tick_ms
+        if flight.action.type in DRIVEN:
             self._drive(flight, tick_ms)
             return
-        self._left_ms -= tick_ms
         if flight.action.type == "wait":
             flight.waited_ms += tick_ms
         if self._left_ms <= 0:
             self._finish(flight)
 
     def _drive(self, flight: SimFlight, tick_ms: int) -> None:
-        asked = int(flight.action.params.get(SPEED, 0))
-        speed = asked * self.faults.overspeed_permille // 1_000
+        speed = speed_of(flight.action) * self.faults.overspeed_permille // 1_000
         flight.moved_ms += tick_ms
         self._path_done_mm += speed * tick_ms // 1_000
-        if self._path_done_mm >= path_length_mm(self._path):
+        timed = flight.action.type == "drive"
+        if self._left_ms <= 0 if timed else self._path_done_mm >= path_length_mm(self._path):
             self._finish(flight)
             return
         x, y = _along(self._path, self._path_done_mm)
@@ -256,11 +257,7 @@ class SymbolicRobot:
 
     def _region_here(self) -> RegionId:
         here = (self.state.x_mm, self.state.y_mm)
-        for region, model in self.site.regions.items():
-            area = polygon(model.map, model.floor, model.points)
-            if model.floor == self.state.floor and may_lie_in(area, here, 0):
-                return region
-        return self.state.region
+        return region_at(self.site, self.state, here) or self.state.region
 
     # the estimator
 
@@ -293,6 +290,7 @@ def snapshot_of(
         "human_distance_mm": state.human_distance_mm,
         "speed_mm_s": state.speed_mm_s,
         **{str(name): is_open for name, is_open in state.doors.items()},
+        **{f"{thing}.{c}": True for thing, held in state.things.items() for c in held},
     }
     return Snapshot(
         robot=robot,

@@ -10,61 +10,40 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import pairwise
-from math import isqrt
+from math import cos, isqrt, sin
 
 import msgspec
-from msgspec import Struct
 
 from authguard_r.core.action import Action
-from authguard_r.core.identifiers import ObjectId, ParameterId, RegionId, VariableId
+from authguard_r.core.geometry import may_lie_in, polygon
+from authguard_r.core.identifiers import ParameterId, RegionId
+from authguard_r.sim.effects import effect, recorded
+from authguard_r.sim.state import WorldState
 from authguard_r.site.model import Door, Site
 
 Point = tuple[int, int]
 
 SPEED = ParameterId("speed_mm_s")
 DURATION = ParameterId("duration_ms")
-MAX_BYTES = ParameterId("max_bytes")
+DISTANCE = ParameterId("distance_mm")
+ANGLE = ParameterId("angle_urad")
+LINEAR = ParameterId("linear_mm_s")
+LATERAL = ParameterId("lateral_mm_s")
+TURNING = ParameterId("turn_urad_s")
 
 #: What the gripper holds when it holds nothing.
 NOTHING = "nothing"
 #: Milliseconds that a grip takes; looking around and speaking are over at once.
 GRIP_MS = 2_000
+#: Types that move the robot along a way.
+DRIVEN = frozenset({"dock", "drive", "navigate", "survey", "walk"})
+#: Types that take no time at all.
+INSTANT = frozenset({"announce", "find", "hold", "read_metadata", "scan_obstacles"})
+#: How fast it goes when nobody said: millimeters per second.
+USUAL_SPEED_MM_S = 500
+FULL_TURN_URAD = 6_283_185
 #: Battery, per mille of full, used by a meter of motion.
 BATTERY_PER_METER = 1
-
-
-class WorldState(Struct, frozen=True, kw_only=True):
-    """Everything that is true of the world; only the estimator may speak of it to a gate.
-
-    Args:
-        x_mm: the robot's position.
-        y_mm: the robot's position.
-        map: the map it is on.
-        floor: the floor it is on.
-        region: the region it was last sent to or stands in.
-        holding: object in the gripper, None when empty.
-        places: where every other object lies.
-        doors: by variable, whether it is open.
-        battery_permille: charge.
-        speed_mm_s: speed right now.
-        human_distance_mm: distance to the nearest person.
-        recorded_bytes: sensor data recorded so far.
-        recordings: regions that were recorded, in order.
-    """
-
-    x_mm: int
-    y_mm: int
-    map: str
-    floor: int
-    region: RegionId
-    holding: ObjectId | None
-    places: dict[ObjectId, RegionId]
-    doors: dict[VariableId, bool]
-    battery_permille: int
-    speed_mm_s: int
-    human_distance_mm: int
-    recorded_bytes: int = 0
-    recordings: tuple[RegionId, ...] = ()
 
 
 def initial_state(site: Site, home: RegionId, *, battery_permille: int = 870) -> WorldState:
@@ -90,30 +69,41 @@ def delta(site: Site, state: WorldState, action: Action) -> WorldState | None:
 
     Physics only: it knows neither missions nor safety. Source: `eq:transition`.
     """
-    if action.type == "navigate":
+    if action.type in DRIVEN:
         path = plan_path(site, state, action)
         return None if path is None else _moved(site, state, action, path)
+    if action.type == "turn":
+        heading = (state.heading_urad + action.params.get(ANGLE, 0)) % FULL_TURN_URAD
+        return msgspec.structs.replace(state, heading_urad=heading)
     if action.type == "pick":
         return _picked(state, action)
     if action.type == "place":
         return _placed(state, action)
-    if action.type in {"record_video", "take_photo"}:
-        size = action.params.get(MAX_BYTES, 0)
-        return msgspec.structs.replace(
-            state,
-            recorded_bytes=state.recorded_bytes + size,
-            recordings=(*state.recordings, state.region),
-        )
-    if action.type in {"wait", "scan_obstacles", "announce"}:
-        return state
-    return None
+    return effect(state, action)
+
+
+def speed_of(action: Action) -> int:
+    """Return how fast the robot goes while the action moves it, in millimeters per second."""
+    if action.type == "drive":
+        return hypot_mm(action.params.get(LINEAR, 0), action.params.get(LATERAL, 0))
+    if action.type == "navigate":
+        return max(0, action.params.get(SPEED, 0))
+    return USUAL_SPEED_MM_S
+
+
+def hypot_mm(x: int, y: int) -> int:
+    """Return the length of a vector, rounded down to a millimeter."""
+    return isqrt(x * x + y * y)
 
 
 def plan_path(site: Site, state: WorldState, action: Action) -> tuple[Point, ...] | None:
     """Return the corners of the way, from where the robot is, or None when there is none.
 
     The route's regions are passed in order; between them the way with the fewest doors is taken.
+    A walk or a drive goes straight, and is no way when it ends in no region.
     """
+    if action.type in {"drive", "walk"}:
+        return _straight(site, state, action)
     if action.destination is None:
         return None
     stops = [*action.route, action.destination]
@@ -147,37 +137,64 @@ def path_length_mm(path: tuple[Point, ...]) -> int:
 
 def duration_ms(site: Site, state: WorldState, action: Action) -> int | None:
     """Return how long the action takes, or None when it cannot be carried out."""
-    if action.type == "navigate":
-        path = plan_path(site, state, action)
-        speed = action.params.get(SPEED, 0)
-        if path is None or speed <= 0:
-            return None
-        return path_length_mm(path) * 1_000 // int(speed) + 1
     asked = action.params.get(DURATION)
+    if action.type in DRIVEN:
+        path, speed = plan_path(site, state, action), speed_of(action)
+        if path is None or (speed <= 0 and asked is None):
+            return None
+        return int(asked) if asked is not None else path_length_mm(path) * 1_000 // speed + 1
     if asked is not None:
         return int(asked)
-    return GRIP_MS if action.type in {"pick", "place"} else 0
+    return 0 if action.type in INSTANT else GRIP_MS
 
 
 def _moved(
     site: Site, state: WorldState, action: Action, path: tuple[Point, ...]
 ) -> WorldState | None:
     used = path_length_mm(path) * BATTERY_PER_METER // 1_000
-    if used > state.battery_permille or action.destination is None:
+    region = action.destination or region_at(site, state, path[-1])
+    if used > state.battery_permille or region is None:
         return None
-    if action.params.get(SPEED, 0) <= 0:
+    if action.type == "navigate" and speed_of(action) <= 0:
         return None
-    end = site.regions[action.destination]
-    return msgspec.structs.replace(
+    end = site.regions[region]
+    turned = action.params.get(TURNING, 0) * action.params.get(DURATION, 0) // 1_000
+    after = msgspec.structs.replace(
         state,
         x_mm=path[-1][0],
         y_mm=path[-1][1],
         map=end.map,
         floor=end.floor,
-        region=action.destination,
+        region=region,
         battery_permille=state.battery_permille - used,
         speed_mm_s=0,
+        heading_urad=(state.heading_urad + turned) % FULL_TURN_URAD,
     )
+    return recorded(after, action) if action.type == "survey" else after
+
+
+def _straight(site: Site, state: WorldState, action: Action) -> tuple[Point, ...] | None:
+    """Return the straight way of a walk or a drive along the robot's heading."""
+    ahead, aside = action.params.get(DISTANCE, 0), 0
+    if action.type == "drive":
+        seconds = action.params.get(DURATION, 0)
+        ahead = action.params.get(LINEAR, 0) * seconds // 1_000
+        aside = action.params.get(LATERAL, 0) * seconds // 1_000
+    angle = state.heading_urad / 1_000_000
+    end = (
+        state.x_mm + round(ahead * cos(angle) - aside * sin(angle)),
+        state.y_mm + round(ahead * sin(angle) + aside * cos(angle)),
+    )
+    return None if region_at(site, state, end) is None else ((state.x_mm, state.y_mm), end)
+
+
+def region_at(site: Site, state: WorldState, point: Point) -> RegionId | None:
+    """Return the first region of the robot's floor that holds the point, None outside all."""
+    for region, model in site.regions.items():
+        same = model.map == state.map and model.floor == state.floor
+        if same and may_lie_in(polygon(model.map, model.floor, model.points), point, 0):
+            return region
+    return None
 
 
 def _picked(state: WorldState, action: Action) -> WorldState | None:
