@@ -7,6 +7,7 @@
     python3 dev.py lint     set up, then format, lint, types, import contracts, budget of the core
     python3 dev.py bench    set up, then the benchmarks
     python3 dev.py setup    only the environment, in .venv
+    python3 dev.py fuzz     fuzz the normalizer with atheris, for a minute or SECONDS
     python3 dev.py lock     work the lock file out anew from pyproject.toml
 
 What follows the name is passed on: `python3 dev.py test -k replay`.
@@ -25,6 +26,7 @@ ROOT = Path(__file__).resolve().parent
 ENV = ROOT / ".venv"
 BIN = ENV / ("Scripts" if os.name == "nt" else "bin")
 LOCK = ROOT / "requirements.lock"
+FUZZ_LOCK = ROOT / "requirements-fuzz.lock"
 UV = "uv==0.13.8"
 #: Long random campaigns: tracing their lines would only make them longer.
 CAMPAIGNS = ["properties", "integration/test_crash.py", "integration/test_power_cut.py"]
@@ -97,12 +99,21 @@ def bench(arguments: list[str]) -> int:
     return run(["python", "benchmarks/run.py", *arguments])
 
 
+def fuzz(arguments: list[str]) -> int:
+    """Fuzz the normalizer for a while; its tool is large, so it is installed when it is used."""
+    uv = [str(BIN / "uv"), "pip", "install", "--quiet", "--python", str(BIN / "python")]
+    check([*uv, "--require-hashes", "--requirements", str(FUZZ_LOCK)])
+    return run(["python", "tests/fuzz/dialects.py", *arguments])
+
+
 def lock(arguments: list[str]) -> int:
-    """Work out the lock file: every version, every hash, no host."""
-    command = ["uv", "pip", "compile", "pyproject.toml", "--extra", "drafting"]
-    command += ["--group", "dev", "--group", "bench"]
+    """Work out the lock files: every version, every hash, no host."""
+    command = ["uv", "pip", "compile", "pyproject.toml"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
-    return run([*command, *how, "-o", LOCK.name, *arguments])
+    everything = ["--extra", "drafting", "--group", "dev", "--group", "bench"]
+    first = run([*command, *everything, *how, "-o", LOCK.name, *arguments])
+    only = ["uv", "pip", "compile", "--group", "fuzz"]
+    return run([*only, *how, "-o", FUZZ_LOCK.name, *arguments]) or first
 
 
 def run(command: list[str]) -> int:
@@ -123,6 +134,7 @@ TASKS = {
     "test": test,
     "lint": lint,
     "bench": bench,
+    "fuzz": fuzz,
     "lock": lock,
     "setup": lambda _: 0,
 }
