@@ -18,6 +18,8 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import EnvelopeGate, default_config, open_config
 from authguard_r.sim.robot import snapshot_of
+from authguard_r.site.model import facts_of, profile_digest
+from authguard_r.site.words import standard_words
 
 CONFIG = default_config(worlds.site(), worlds.RID)
 
@@ -45,6 +47,52 @@ def test_speed_up_to_the_envelope(speed: int, hazards: list[str]) -> None:
 
 def test_a_motion_that_does_not_say_how_fast_is_unsafe() -> None:
     assert assess(worlds.navigate("dock", "pharmacy", params={})) == ["SPEED"]
+
+
+WORDS_SITE = msgspec.structs.replace(
+    worlds.site(), vocabulary={**standard_words(), **worlds.site().vocabulary}
+)
+WORDS_FACTS = facts_of(
+    WORDS_SITE, rid=worlds.RID, profile=profile_digest(WORDS_SITE.robots[worlds.RID].profile)
+)
+
+
+def hazards_of(action: Action, state: AttestedState | None = None, **config: Any) -> list[str]:
+    """Return the hazards of an action in the standard words."""
+    known = msgspec.structs.replace(default_config(WORDS_SITE, worlds.RID), **config)
+    decision = EnvelopeGate(known).assess(action, state or worlds.state(), WORDS_FACTS, worlds.NOW)
+    return [str(finding.hazard) for finding in decision.findings]
+
+
+@pytest.mark.parametrize(
+    ("linear", "lateral", "hazards"),
+    [(1_500, 0, []), (-1_500, 0, []), (1_000, -500, []), (1_000, -501, ["SPEED"])],
+)
+def test_a_velocity_is_as_fast_as_its_parts_together(
+    linear: int, lateral: int, hazards: list[str]
+) -> None:
+    params = {"linear_mm_s": linear, "lateral_mm_s": lateral, "turn_urad_s": 0, "duration_ms": 9}
+    assert hazards_of(Action(type="drive", tool="base", params=params)) == hazards
+
+
+def test_half_a_velocity_is_none() -> None:
+    params = {"linear_mm_s": 1, "turn_urad_s": 0, "duration_ms": 9}
+    assert hazards_of(Action(type="drive", tool="base", params=params)) == ["SPEED"]
+
+
+def test_a_type_without_a_speed_goes_as_fast_as_the_configuration_says() -> None:
+    turn = Action(type="turn", tool="base", params={"angle_urad": 1})
+    assert hazards_of(turn) == []
+    assert hazards_of(turn, paced={"turn": 1_501}) == ["SPEED"]
+    assert hazards_of(turn, paced={}) == ["SPEED"]
+    assert hazards_of(turn, near(1_000)) == ["HUMAN_PROXIMITY"]
+    assert hazards_of(turn, near(1_000), paced={"turn": 300}) == []
+
+
+def test_what_is_opened_is_not_lifted() -> None:
+    assert hazards_of(Action(type="open", tool="hand", object="package-p1"), max_payload_g=1) == []
+    lifted = Action(type="open", tool="hand", object="package-p1")
+    assert hazards_of(lifted, max_payload_g=1, in_place=()) == ["PAYLOAD"]
 
 
 @pytest.mark.parametrize(("force", "hazards"), [(40_000, []), (40_001, ["FORCE"])])

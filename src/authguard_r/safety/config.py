@@ -14,6 +14,7 @@ from authguard_r.core.identifiers import (
     Digest,
     Identifier,
     ObjectId,
+    ParameterId,
     RegionId,
     RobotId,
     VariableId,
@@ -25,6 +26,21 @@ from authguard_r.site.model import Site, profile_digest
 
 #: Stands for the action's own object in an `Executable` rule.
 THE_OBJECT = "the-object"
+SPEED = ParameterId("speed_mm_s")
+#: The two parts of a velocity; their sum is never less than the speed.
+VELOCITY = (ParameterId("linear_mm_s"), ParameterId("lateral_mm_s"))
+SPEEDS = frozenset({SPEED, *VELOCITY})
+#: Standard words that act on a thing where it stands.
+IN_PLACE: frozenset[ActionType] = frozenset(
+    map(
+        ActionType,
+        (
+            *("break", "clean", "close", "cook", "describe", "dirty", "door_lock", "empty"),
+            *("fill", "find", "inspect", "open", "put_in", "read_sensor", "slice"),
+            *("turn_off", "turn_on", "use_up"),
+        ),
+    )
+)
 
 
 class Executable(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -61,6 +77,9 @@ class SafetyConfig(
         human_speed_mm_s: top speed near people.
         max_age_ms: how old a reading may be.
         executable: rules of what can be carried out in which state.
+        paced: for types that move and need not carry a speed, how fast the controller is
+            configured to carry them out at most; such a type that is not here is unsafe.
+        in_place: types that act on a thing where it stands and lift nothing.
     """
 
     schema: Literal["authguard-r/safety/1"]
@@ -77,6 +96,8 @@ class SafetyConfig(
     human_speed_mm_s: Count
     max_age_ms: Count
     executable: tuple[Executable, ...] = ()
+    paced: dict[ActionType, Count] = {}
+    in_place: tuple[ActionType, ...] = ()
 
 
 def safety_digest(config: SafetyConfig) -> Digest:
@@ -106,7 +127,8 @@ def default_config(site: Site, rid: RobotId) -> SafetyConfig:
     """Return the envelope of the robot's own profile, with hazardous regions kept out.
 
     For set-ups without a safety officer's own configuration. Near people it is slow; it lifts
-    what the site knows the mass of; it goes nowhere hazardous.
+    what the site knows the mass of; it goes nowhere hazardous. A type that carries no speed is
+    taken to go at the profile's top speed.
     """
     profile = site.robots[rid].profile
     return SafetyConfig(
@@ -127,4 +149,10 @@ def default_config(site: Site, rid: RobotId) -> SafetyConfig:
             Executable(type=ActionType("pick"), variable=VariableId("holding"), equals="nothing"),
             Executable(type=ActionType("place"), variable=VariableId("holding"), equals=THE_OBJECT),
         ),
+        paced={
+            kind: profile.max_speed_mm_s
+            for kind, model in site.vocabulary.items()
+            if model.moves and not any(model.params[p].required for p in SPEEDS & set(model.params))
+        },
+        in_place=tuple(sorted(IN_PLACE.intersection(site.vocabulary))),
     )

@@ -18,9 +18,8 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.state import AttestedState, age_ms
-from authguard_r.safety.config import THE_OBJECT, SafetyConfig
+from authguard_r.safety.config import SPEED, THE_OBJECT, VELOCITY, SafetyConfig
 
-SPEED = ParameterId("speed_mm_s")
 FORCE = ParameterId("force_mn")
 HUMAN_DISTANCE = VariableId("human_distance_mm")
 
@@ -79,20 +78,21 @@ def rule_speed(scene: _Scene) -> Findings:
     """A motion says how fast, and not faster than the robot may be."""
     if not scene.kind.moves:
         return ()
-    return _at_most(scene, Hazard.SPEED, SPEED, scene.config.max_speed_mm_s)
+    return _not_faster(scene, Hazard.SPEED, scene.config.max_speed_mm_s)
 
 
 def rule_force(scene: _Scene) -> Findings:
     """A grip says how hard, and not harder than the robot may."""
     if FORCE not in scene.kind.params:
         return ()
-    return _at_most(scene, Hazard.FORCE, FORCE, scene.config.max_force_mn)
+    value, most = scene.action.params.get(FORCE), scene.config.max_force_mn
+    return () if value is not None and value <= most else _above(Hazard.FORCE, FORCE, value, most)
 
 
 def rule_payload(scene: _Scene) -> Findings:
     """What is lifted has a known mass that the robot may carry."""
     item = scene.action.object
-    if item is None:
+    if item is None or scene.action.type in scene.config.in_place:
         return ()
     mass = scene.config.masses_g.get(item)
     most = scene.config.max_payload_g
@@ -126,7 +126,7 @@ def rule_human_proximity(scene: _Scene) -> Findings:
         )
     if distance > scene.config.human_distance_mm:
         return ()
-    return _at_most(scene, Hazard.HUMAN_PROXIMITY, SPEED, scene.config.human_speed_mm_s)
+    return _not_faster(scene, Hazard.HUMAN_PROXIMITY, scene.config.human_speed_mm_s)
 
 
 def rule_executable(scene: _Scene) -> Findings:
@@ -155,10 +155,23 @@ RULES: tuple[Callable[[_Scene], Findings], ...] = (
 )
 
 
-def _at_most(scene: _Scene, hazard: Hazard, parameter: ParameterId, most: int) -> Findings:
-    value = scene.action.params.get(parameter)
-    if value is not None and value <= most:
-        return ()
+def _not_faster(scene: _Scene, hazard: Hazard, most: int) -> Findings:
+    parameter, value = _speed(scene)
+    return () if value is not None and value <= most else _above(hazard, parameter, value, most)
+
+
+def _speed(scene: _Scene) -> tuple[ParameterId, int | None]:
+    """Return how fast the action goes at most, and the parameter that says so."""
+    params = scene.action.params
+    if SPEED in params:
+        return SPEED, abs(params[SPEED])
+    given = [abs(params[part]) for part in VELOCITY if part in params]
+    if set(VELOCITY).issubset(scene.kind.params):
+        return VELOCITY[0], sum(given) if len(given) == len(VELOCITY) else None
+    return SPEED, scene.config.paced.get(scene.action.type)
+
+
+def _above(hazard: Hazard, parameter: ParameterId, value: int | None, most: int) -> Findings:
     got = "none" if value is None else str(value)
     return (SafetyFinding(hazard, f"params.{parameter}", f"at most {most}", got),)
 

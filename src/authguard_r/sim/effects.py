@@ -36,7 +36,12 @@ _CONDITIONS: dict[str, tuple[frozenset[str], str | None]] = {
     "door_lock": (frozenset(), None),
 }
 #: Types that leave the world as it is: they look, speak, or stand still.
-_IDLE = frozenset({"announce", "find", "hold", "read_metadata", "scan_obstacles", "wait"})
+_IDLE = frozenset(
+    {
+        *("announce", "calculate", "describe", "find", "hold", "plan_path", "read_metadata"),
+        *("scan_obstacles", "stop_sound", "wait"),
+    }
+)
 #: Types whose parameters are a setting of the robot.
 _SETTINGS = frozenset(
     {
@@ -61,7 +66,7 @@ _SETTINGS = frozenset(
     }
 )
 #: Types whose object need not be near: a topic is read wherever the robot is.
-_FAR = frozenset({"read_sensor"})
+_FAR = frozenset({"describe", "read_sensor"})
 _RECORDING = frozenset({"inspect", "read_sensor", "record_video", "survey", "take_photo"})
 #: A cabinet, a table or a sink holds many things; what is put in is what the hand held.
 _FROM_HAND = frozenset({"drop", "put_in", "throw"})

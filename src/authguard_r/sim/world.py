@@ -36,7 +36,7 @@ NOTHING = "nothing"
 #: Milliseconds that a grip takes; looking around and speaking are over at once.
 GRIP_MS = 2_000
 #: Types that move the robot along a way.
-DRIVEN = frozenset({"dock", "drive", "navigate", "survey", "walk"})
+DRIVEN = frozenset({"back_up", "dock", "drive", "navigate", "survey", "walk"})
 #: Types that take no time at all.
 INSTANT = frozenset({"announce", "find", "hold", "read_metadata", "scan_obstacles"})
 #: How fast it goes when nobody said: millimeters per second.
@@ -86,9 +86,8 @@ def speed_of(action: Action) -> int:
     """Return how fast the robot goes while the action moves it, in millimeters per second."""
     if action.type == "drive":
         return hypot_mm(action.params.get(LINEAR, 0), action.params.get(LATERAL, 0))
-    if action.type == "navigate":
-        return max(0, action.params.get(SPEED, 0))
-    return USUAL_SPEED_MM_S
+    usual = 0 if action.type == "navigate" else USUAL_SPEED_MM_S
+    return max(0, action.params.get(SPEED, usual))
 
 
 def hypot_mm(x: int, y: int) -> int:
@@ -102,7 +101,7 @@ def plan_path(site: Site, state: WorldState, action: Action) -> tuple[Point, ...
     The route's regions are passed in order; between them the way with the fewest doors is taken.
     A walk or a drive goes straight, and is no way when it ends in no region.
     """
-    if action.type in {"drive", "walk"}:
+    if action.type in {"back_up", "drive", "walk"}:
         return _straight(site, state, action)
     if action.destination is None:
         return None
@@ -176,6 +175,8 @@ def _moved(
 def _straight(site: Site, state: WorldState, action: Action) -> tuple[Point, ...] | None:
     """Return the straight way of a walk or a drive along the robot's heading."""
     ahead, aside = action.params.get(DISTANCE, 0), 0
+    if action.type == "back_up":
+        ahead = -abs(ahead)
     if action.type == "drive":
         seconds = action.params.get(DURATION, 0)
         ahead = action.params.get(LINEAR, 0) * seconds // 1_000
