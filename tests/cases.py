@@ -114,6 +114,7 @@ def plain_facts(facts: SiteFacts) -> dict[str, Any]:
                 "floor": known.area.floor,
                 "points": [list(point) for point in known.area.points],
                 "tags": sorted(known.tags),
+                **({"around": sorted(known.around)} if known.around else {}),
             }
             for region, known in facts.regions.items()
         },

@@ -177,7 +177,6 @@ class Enforcer:
         standing = act.standing(verified.mission.mid)
         state = self.intake.state
         now = act.now
-        action = self._complete(step, verified, standing, state, base)
         meta = ActionMeta(
             planner=planner,
             timestamp=to_timestamp(now.utc_ms),
@@ -185,7 +184,7 @@ class Enforcer:
             mission=verified.mission.mid,
             mission_version=verified.mission.version,
         )
-        action = msgspec.structs.replace(action, meta=meta)
+        action = _complete(step, meta, verified, standing, state=state, base=base)
         answered = self.intake.answers(act, standing)
         decision = decide(
             verified,
@@ -213,23 +212,6 @@ class Enforcer:
             request=open_question(decision, verified, standing, now),
             approvals=answered.tokens,
         )
-
-    def _complete(
-        self,
-        step: Step,
-        verified: VerifiedMission,
-        standing: Standing | None,
-        state: AttestedState | None,
-        base: Label,
-    ) -> Action:
-        """Fill what attested state settles, and label every privileged field."""
-        action = step.action
-        if "source" in step.attested and state is not None and len(state.place) == 1:
-            action = msgspec.structs.replace(action, source=next(iter(state.place)))
-        labels = label_fields(action, verified, standing, base=base)
-        if "source" in step.attested and action.source is not None:
-            labels["source"] = Label.TRUSTED_SENSOR
-        return msgspec.structs.replace(action, provenance=labels)
 
     def _commit(self, act: Act, judged: Judged) -> None:
         """(8) Use what a release uses, or open the question that it needs."""
@@ -338,6 +320,25 @@ class Enforcer:
             return write()
         except AuthGuardError:
             return None
+
+
+def _complete(
+    step: Step,
+    meta: ActionMeta,
+    verified: VerifiedMission,
+    standing: Standing | None,
+    *,
+    state: AttestedState | None,
+    base: Label,
+) -> Action:
+    """Fill what attested state settles, label every privileged field, and say whose it is."""
+    action = step.action
+    if "source" in step.attested and state is not None and len(state.place) == 1:
+        action = msgspec.structs.replace(action, source=next(iter(state.place)))
+    labels = label_fields(action, verified, standing, base=base)
+    if "source" in step.attested and action.source is not None:
+        labels["source"] = Label.TRUSTED_SENSOR
+    return msgspec.structs.replace(action, provenance=labels, meta=meta)
 
 
 def evaluate(

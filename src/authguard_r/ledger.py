@@ -146,7 +146,9 @@ class Ledger:
 
     def _remember(self, act: Act) -> None:
         """Mirror what was committed; threads may come back in another order than they committed."""
-        self._high = max(self._high, act.now, key=lambda now: (now.utc_ms, now.mono_ms))
+        now, high = act.now, self._high
+        if (now.utc_ms, now.mono_ms) > (high.utc_ms, high.mono_ms):
+            self._high = now
         for mid, standing in act.held.items():
             known = self._standings.get(mid)
             if known is None or known[0] < act.order:

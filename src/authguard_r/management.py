@@ -17,6 +17,7 @@ import msgspec
 from authguard_r.approvals import open_selection
 from authguard_r.audit.record import Entry
 from authguard_r.commands import EVENTS, NARROWING, Command, Verb
+from authguard_r.compile.confirmation import signed_inputs
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.mission import binding_findings
@@ -66,15 +67,20 @@ class Management:
         self._verifier = verifier
         self._facts = facts
 
-    def activate(self, token: bytes) -> Standing:
+    def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
         """Take in a mission, or the next version of the active one, and make it active.
+
+        Args:
+            token: the signed mission.
+            confirmation: the record of its signing; goes into the log, sealed, when it is of
+                this mission. It grants nothing.
 
         Raises:
             MalformedError: not a mission token, or not schema-valid.
             AuthenticityError: certificate or signature does not hold.
             AuthGuardError: with the reason that speaks against it; nothing was changed.
         """
-        return self._do(lambda act: self._activate(act, token))
+        return self._do(lambda act: self._activate(act, token, confirmation))
 
     def command(self, token: bytes) -> Standing:
         """Carry out a signed command once.
@@ -142,7 +148,7 @@ class Management:
             self._ledger.note(lambda at: refusal_entry(refused, at))
             raise
 
-    def _activate(self, act: Act, token: bytes) -> Standing:
+    def _activate(self, act: Act, token: bytes, confirmation: bytes | None) -> Standing:
         verified = self._intake.verify_mission(token, act)
         self._require_usable(verified, act)
         mission = verified.mission
@@ -170,7 +176,7 @@ class Management:
             "mission": verified.digest,
             "supersedes": mission.supersedes or "-",
         }
-        act.record(_entry(act, mission.mid, opened, {"token": token.decode("ascii").strip()}))
+        act.record(_entry(act, mission.mid, opened, signed_inputs(token, confirmation, mission)))
         return active
 
     def _lapsed(self, act: Act, standing: Standing | None) -> Standing | None:
@@ -220,8 +226,7 @@ class Management:
                 "mission.supersedes",
             )
         before = self._intake.mission(act, known.digest)
-        issuers = {before.mission.issuer}
-        if verified.issuer.id not in issuers and verified.issuer.role != "safety_officer":
+        if verified.issuer.id != before.mission.issuer and verified.issuer.role != "safety_officer":
             raise _refuse(
                 Reason.ROLE_DENIED, "only its issuer or a safety officer supersedes a mission"
             )
@@ -305,8 +310,11 @@ class Management:
     def _select(self, act: Act, token: bytes) -> Standing:
         selection, signer = open_selection(token, verifier=self._verifier, now=act.now)
         standing = act.standing(selection.mid)
-        if standing is None or standing.digest != selection.mission:
+        named = (selection.mission, selection.version)
+        if standing is None or (standing.digest, standing.version) != named:
             raise _refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
+        if standing.status in TERMINAL:
+            raise _replayed(standing)
         if act.now.utc_ms > selection.expires_ms or act.get("command", selection.nonce) is not None:
             raise _refuse(Reason.EXPIRED, "the selection ran out or was taken in already")
         verified = self._intake.mission(act, standing.digest)
@@ -319,7 +327,8 @@ class Management:
         act.hold(chosen)
         act.put("command", selection.nonce, b"1")
         opened = {"verb": "select", "by": signer.id, "grant": grant.id, "row": selection.row}
-        act.record(_entry(act, selection.mid, opened))
+        sealed: dict[str, object] = {"token": token.decode("ascii").strip()}
+        act.record(_entry(act, selection.mid, opened, sealed))
         return chosen
 
     def _recover(self, act: Act) -> tuple[Digest, ...]:

@@ -12,12 +12,11 @@ from fractions import Fraction
 from typing import Any
 
 import msgspec
-from msgspec import Struct
+from msgspec import Raw, Struct
 
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Decision, Verdict
-from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.finding import Finding, Findings, deviation
 from authguard_r.core.identifiers import Digest, Identifier, MissionId
@@ -129,14 +128,14 @@ def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:
     """Return the record of one decision (e_i of `eq:log` and every input of a replay)."""
     decision, mission = judged.decision, judged.verified.mission
     share = deviation(decision.findings, {}) if decision.findings else Fraction(0)
-    snapshot = judged.state.snapshot if judged.state is not None else None
+    state = judged.state
     return Entry(
         kind="decision",
         time_ms=judged.now.utc_ms,
         decision=decision.verdict,
         mid=mission.mid,
         action=judged.action_digest,
-        state=NONE if snapshot is None else digest_of(Tag.STATE, snapshot),
+        state=NONE if state is None else state.digest,
         open={
             "version": mission.version,
             "mission": judged.verified.digest,
@@ -157,11 +156,13 @@ def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:
             "influences": influences,
             "now": judged.now,
             "standing": [] if judged.standing is None else [judged.standing],
-            "state": []
-            if judged.state is None
-            else [{"snapshot": snapshot, "arrived_mono_ms": judged.state.arrived_mono_ms}],
+            "state": [] if state is None else [_arrived(state)],
         },
     )
+
+
+def _arrived(state: AttestedState) -> dict[str, object]:
+    return {"snapshot": Raw(state.data), "arrived_mono_ms": state.arrived_mono_ms}
 
 
 def outcome_entry(

@@ -133,6 +133,9 @@ def pose_of(state: Json | None) -> Json | None:
 def place_of(pose: Json, facts: Json) -> set[str]:
     """Compute the place: every region on map and floor with a point within the margin.
 
+    A region around another one is left out when the pose is inside the inner one, farther from its
+    edge than the margin.
+
     Args:
         pose: A fit pose.
         facts: The facts of the site and the robot.
@@ -142,13 +145,33 @@ def place_of(pose: Json, facts: Json) -> set[str]:
     """
     point = (pose["x_mm"], pose["y_mm"])
     place = set()
+    left_out: set[str] = set()
     for name, region in facts["regions"].items():
         same_map = region["map"] == pose["map"]
         same_floor = region["floor"] == pose["floor"]
         polygon = [(x, y) for x, y in region["points"]]
         if same_map and same_floor and is_within(point, polygon, pose.get("margin_mm", 0)):
             place.add(name)
-    return place
+            if is_deep(point, polygon, pose.get("margin_mm", 0)):
+                left_out |= set(region.get("around", []))
+    return place - left_out
+
+
+def is_deep(point: Point, polygon: list[Point], margin: int) -> bool:
+    """Decide whether a point is inside a polygon and farther from every side than the margin.
+
+    Args:
+        point: The point in mm.
+        polygon: The corners in order; the last is joined to the first.
+        margin: The margin in mm.
+
+    Returns:
+        True when nothing within the margin is on the edge or outside.
+    """
+    sides = list(zip(polygon, polygon[1:] + polygon[:1], strict=True))
+    if any(squared_distance(point, start, end) <= margin * margin for start, end in sides):
+        return False
+    return winding_number(point, sides) != 0
 
 
 def is_within(point: Point, polygon: list[Point], margin: int) -> bool:

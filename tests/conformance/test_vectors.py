@@ -57,6 +57,7 @@ def facts_from(plain: dict[str, Any]) -> SiteFacts:
             name: RegionFacts(
                 polygon(r["map"], r["floor"], tuple(tuple(p) for p in r["points"])),
                 frozenset(r["tags"]),
+                frozenset(r.get("around", ())),
             )
             for name, r in plain["regions"].items()
         },

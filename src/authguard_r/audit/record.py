@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from msgspec import Raw, Struct
+from msgspec import Struct
 
 from authguard_r.core.chain import Link, link
-from authguard_r.core.encoding import Tag, b64, decode, digest_of, encode_fast
+from authguard_r.core.encoding import Tag, b64, decode, digest, digest_of, encode_fast
 from authguard_r.core.identifiers import Count, Digest, Identifier
 from authguard_r.core.ports import Turn
 
@@ -82,15 +82,18 @@ def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:
 
     Args:
         turn: the writer's turn.
-        entry: what to record.
+        entry: what to record; the names of what it seals are identifiers.
         salts: 16 fresh random bytes for each sealed value.
     """
     seq, prev = turn.head()
-    sealed = {
-        name: Sealed(salt=b64(salts[16 * n : 16 * n + 16]), value=Raw(encode_fast(value)))
-        for n, (name, value) in enumerate(sorted(entry.sealed.items()))
-    }
-    committed = {name: commit(name, item) for name, item in sealed.items()}
+    committed: dict[str, Digest] = {}
+    beside: list[bytes] = []
+    for place, name in enumerate(sorted(entry.sealed)):
+        # `Sealed` and `Commitment` end alike: spelled once, around a value that is encoded once
+        salt = b64(salts[16 * place : 16 * place + 16])
+        item = f'"salt":"{salt}","value":'.encode() + encode_fast(entry.sealed[name]) + b"}"
+        committed[name] = digest(Tag.COMMITMENT, f'{{"name":"{name}",'.encode() + item)
+        beside.append(f'"{name}":{{'.encode() + item)
     linked = Link(
         prev=Digest(b64(prev)),
         mid=entry.mid,
@@ -102,7 +105,7 @@ def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:
         evidence=evidence(entry.kind, entry.open, committed),
     )
     record = Record(link=linked, kind=entry.kind, open=entry.open, committed=committed)
-    return turn.append(encode_fast(record), encode_fast(sealed), link(linked))
+    return turn.append(encode_fast(record), b"{" + b",".join(beside) + b"}", link(linked))
 
 
 def evidence(kind: str, open_fields: dict[str, Any], committed: dict[str, Digest]) -> Digest:

@@ -5,7 +5,19 @@ from __future__ import annotations
 
 import typer
 
-from authguard_r.cli import audit, decide, demo, doctor, keys, normalize, orders, run, site
+from authguard_r.cli import (
+    audit,
+    binding,
+    decide,
+    demo,
+    doctor,
+    draft,
+    keys,
+    normalize,
+    orders,
+    run,
+    site,
+)
 
 app = typer.Typer(
     name="authguard",
@@ -19,6 +31,8 @@ app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 app.add_typer(keys.app, name="keys")
 app.add_typer(site.app, name="site")
+app.add_typer(binding.app, name="binding")
+orders.app.command("draft")(draft.draft_command)
 app.add_typer(orders.app, name="mission")
 app.command("normalize")(normalize.normalize_command)
 app.command("decide")(decide.decide_command)

@@ -86,7 +86,8 @@ def decide_command(
 ) -> int:
     """Decide one action in one state, as if: nothing is used, recorded or moved."""
     at = wall_now(now)
-    anchor, model = read_trust(trust), load_site(site)
+    anchor = read_trust(trust)
+    model = load_site(site, anchor, at)
     facts = gate_facts(trust, anchor, model, now=at, robot=robot)
     verified = read_mission(token, anchor, at)
     question = _Question(

@@ -13,7 +13,7 @@ import typer
 
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
-from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import RobotId, Timestamp
 from authguard_r.core.quantities import Now, to_ms
@@ -21,18 +21,32 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
 from authguard_r.intake import ESTIMATOR_ROLES, ISSUER_ROLES
-from authguard_r.keys.trust import Trust, read_file
+from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.parse import read_json
+from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.model import Site, facts_of
-from authguard_r.site.source import convert, read_site, read_text, read_yaml
+from authguard_r.site.signed import is_token, read_claimed_site, read_signed_site
+from authguard_r.site.source import (
+    as_text,
+    convert,
+    parse_site,
+    require_sound,
+)
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
-SiteOption = Annotated[Path, typer.Option("--site", help="The site model (YAML).")]
+SiteOption = Annotated[
+    Path, typer.Option("--site", help="The site model (YAML, or a signed token).")
+]
 TrustOption = Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")]
 TokenOption = Annotated[Path, typer.Option("--token", help="A signed mission.")]
-BindingOption = Annotated[Path, typer.Option("--binding", help="The planner's tools (YAML).")]
+BindingOption = Annotated[
+    Path,
+    typer.Option(
+        "--binding", help="The planner's tools: YAML, or a shipped name (`binding list`)."
+    ),
+]
 NowOption = Annotated[
     str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
 ]
@@ -50,8 +64,8 @@ def wall_now(text: str | None) -> Now:
 
 
 def read_binding(path: Path, site: Site) -> Binding:
-    """Return a sound binding."""
-    data = read_yaml(read_text(path), where=str(path))
+    """Return a sound binding: a shipped one by its name, or the one in a file."""
+    data = binding_source(str(path))
     return load_binding(data, site=site, where=str(path))
 
 
@@ -168,9 +182,44 @@ def read_input(path: Path) -> bytes:
     return sys.stdin.buffer.read() if str(path) == "-" else read_file(path)
 
 
-def load_site(path: Path) -> Site:
-    """Return a sound site model."""
-    return read_site(path)
+def load_site(path: Path, trust: Path | Trust | None = None, now: Now | None = None) -> Site:
+    """Return a sound site model: signed, or plain where a plain one is good enough.
+
+    Args:
+        path: a YAML file or a signed token.
+        trust: the trust folder, or the root read from it. With it a token's signature must hold,
+            and plain YAML is taken only beside a root that says `demo`. Without it nothing is
+            enforced, and a token is read like the YAML that it was made of.
+        now: the instant at which certificates must be valid; the machine's when absent.
+
+    Raises:
+        MalformedError: no site model, or one with faults.
+        AuthenticityError: the signature does not hold, or there is none and there must be one.
+    """
+    if trust is None:
+        return require_sound(claimed_site(path), where=str(path))
+    anchor = read_trust(trust) if isinstance(trust, Path) else trust
+    data = read_file(path)
+    if is_token(data):
+        at = wall_now(None) if now is None else now
+        return read_signed_site(data, verifier=anchor, now=at, where=str(path)).site
+    if not anchor.demo:
+        raise AuthenticityError(
+            "expected a signed site outside demonstration: `authguard site sign`",
+            reason=Reason.SIGNATURE_INVALID,
+            where=str(path),
+        )
+    return require_sound(
+        parse_site(as_text(data, where=str(path)), where=str(path)), where=str(path)
+    )
+
+
+def claimed_site(path: Path) -> Site:
+    """Return the site model in a YAML file or a token, sound or not, and authentic or not."""
+    data = read_file(path)
+    if is_token(data):
+        return read_claimed_site(data)
+    return parse_site(as_text(data, where=str(path)), where=str(path))
 
 
 def _without_nulls(plain: Any) -> Any:

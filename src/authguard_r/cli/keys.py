@@ -11,7 +11,7 @@ import typer
 from cryptography import x509
 
 from authguard_r.assembly import demo_members
-from authguard_r.cli.inputs import JsonFlag, wall_now
+from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
@@ -19,7 +19,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.example import bundled_hospital
-from authguard_r.site.source import read_site
 
 app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)
 
@@ -48,7 +47,7 @@ def init(
             reason=Reason.STORE_UNAVAILABLE,
             where="--no-demo",
         )
-    model = read_site(site or bundled_hospital() / "site.yaml")
+    model = load_site(site or bundled_hospital() / "site.yaml")
     rids = tuple(RobotId(name) for name in robot or [next(iter(model.robots))])
     unknown = [rid for rid in rids if rid not in model.robots]
     if unknown:

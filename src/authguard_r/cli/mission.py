@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard mission`: compile, review, sign, verify, and the acts that change authority."""
+"""`authguard mission`: compile, review, lint, sign, verify; `orders` holds the other acts."""
 
 from __future__ import annotations
 
 import json
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import typer
 
+from authguard_r.cli.ask import AnswerOption, NoInputFlag, ask_until, may_ask
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
@@ -20,17 +21,18 @@ from authguard_r.cli.inputs import (
     read_mission,
     wall_now,
 )
+from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified, write_whole
 from authguard_r.cli.out import emit
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.card import compare, review
-from authguard_r.compile.draft import Draft
-from authguard_r.core.encoding import Tag, b64, decode, digest, digest_of, encode, unb64
-from authguard_r.core.identifiers import Digest
-from authguard_r.core.mission import Mission, require_schema
-from authguard_r.core.token import read_token, sign_object
-from authguard_r.keys.signer import read_signer
+from authguard_r.cli.sign import sign_command
+from authguard_r.compile.answers import compile_answered, read_answers
+from authguard_r.compile.card import card_digest, review
+from authguard_r.compile.difference import compare
+from authguard_r.compile.lint import Severity, finding_lines, lint
+from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
+from authguard_r.core.mission import Mission
+from authguard_r.core.token import read_token
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.site.source import read_text, read_yaml
 
 app = typer.Typer(help="Missions: from a draft to signed authority and back.", no_args_is_help=True)
 MissionArgument = Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")]
@@ -41,6 +43,8 @@ TokenArgument = Annotated[Path, typer.Argument(help="A signed mission.")]
 def compile_command(
     draft: Annotated[Path, typer.Argument(help="A mission draft (YAML).")],
     site: SiteOption,
+    answer: AnswerOption = None,
+    no_input: NoInputFlag = False,
     supersedes: Annotated[
         Path | None, typer.Option("--supersedes", help="The token of the version before.")
     ] = None,
@@ -49,26 +53,37 @@ def compile_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Turn a draft into the canonical mission, or ask what only a person can say (exit 3)."""
-    plain = read_yaml(read_text(draft), where=str(draft))
-    model = load_site(site)
-    if supersedes is not None and isinstance(plain, dict):
-        payload = unb64(read_token(read_file(supersedes)).payload, where="token.payload")
-        old = decode(payload, Mission, where="mission")
-        plain |= {"version": old.version + 1, "supersedes": digest(Tag.MISSION, payload)}
-    mission = compile_draft(
-        convert(plain, Draft, where=str(draft)), model, now=wall_now(now), nonce=b64(os.urandom(16))
-    )
+    plain = _supersede(read_yaml(read_text(draft), where=str(draft)), supersedes)
+    model, at, nonce = load_site(site), wall_now(now), b64(os.urandom(16))
+
+    def compiled(answers: dict[str, object]) -> Mission:
+        return compile_answered(plain, answers, model, now=at, nonce=nonce)
+
+    answers = read_answers(answer or ())
+    asks = may_ask(as_json=as_json, no_input=no_input)
+    mission = ask_until(compiled, answers) if asks else compiled(answers)
     target = out or draft.with_suffix(".mission.json")
-    target.write_bytes(encode(mission) + b"\n")
-    hashed = digest_of(Tag.MISSION, mission)
-    payload_json = {
+    write_whole(target, encode(mission) + b"\n")
+    hashed, findings, card = mission_digest(mission), lint(mission, model), review(mission, model)
+    payload = {
         "file": str(target),
         "digest": hashed,
         "mission": msgspec.to_builtins(mission),
-        "card": list(review(mission, model)),
+        "card": list(card),
+        "card_digest": card_digest(card),
+        "lint": lint_json(findings),
     }
-    emit(payload_json, [f"{target}", f"digest {hashed}"], as_json=as_json)
+    emit(payload, [f"{target}", f"digest {hashed}", *finding_lines(findings)], as_json=as_json)
     return 0
+
+
+def _supersede(plain: object, token: Path | None) -> object:
+    """Return the draft as the version after the one in a token."""
+    if token is None or not isinstance(plain, dict):
+        return plain
+    payload = unb64(read_token(read_file(token)).payload, where="token.payload")
+    old = decode(payload, Mission, where="mission")
+    return {**plain, "version": old.version + 1, "supersedes": digest(Tag.MISSION, payload)}
 
 
 @app.command("review")
@@ -81,55 +96,41 @@ def review_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Show the operator's card: what is granted, row by row, and what is not."""
-    model, new = load_site(site), _read_mission(mission)
-    lines = [*review(new, model)]
+    model, new = load_site(site), read_unverified(mission)
+    card, findings = review(new, model), lint(new, model)
+    lines = [*card, *finding_lines(findings)]
     changes: list[str] = []
     if against is not None:
-        changes = list(compare(_read_mission(against), new, model))
+        changes = list(compare(read_unverified(against), new, model))
         lines = ["Against the version before:", *(f"  {c}" for c in changes), *lines]
-    payload = {"card": list(review(new, model)), "changes": changes, "digest": _digest(new)}
+    payload: dict[str, Any] = {
+        "card": list(card),
+        "card_digest": card_digest(card),
+        "changes": changes,
+        "digest": mission_digest(new),
+        "lint": lint_json(findings),
+    }
     emit(payload, lines, as_json=as_json)
     return 0
 
 
-@app.command("sign")
-def sign_command(
+@app.command("lint")
+def lint_command(
     mission: MissionArgument,
-    key: Annotated[Path, typer.Option("--key", help="The issuer's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
-    site: Annotated[
-        Path | None, typer.Option("--site", help="The site, to show the card before signing.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Do not ask; recorded as confirmed by a script.")
-    ] = False,
+    site: SiteOption,
+    strict: Annotated[bool, typer.Option("--strict", help="Fail on warnings too.")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show the card, ask, and sign. The structure is signed, never the sentence."""
-    opened = _read_mission(mission)
-    require_schema(opened)
-    card: list[str] = []
-    if site is not None:
-        card = list(review(opened, load_site(site)))
-    if not yes:
-        typer.echo("\n".join(card or [f"{opened.mid} version {opened.version}"]), err=as_json)
-        typer.confirm("Sign exactly this?", abort=True, err=as_json)
-    token = sign_object(opened, Tag.MISSION, read_signer(key, cert))
-    target = out or mission.with_name(mission.name.removesuffix(".json") + ".token")
-    target.write_bytes(token)
-    confirmation = {
-        "mission": _digest(opened),
-        "request": opened.task,
-        "card": digest(Tag.RAW, "\n".join(card).encode()) if card else None,
-        "by": opened.issuer,
-        "at_ms": wall_now(None).utc_ms,
-        "how": "script" if yes else "interactive",
-    }
-    target.with_suffix(".confirmation.json").write_text(json.dumps(confirmation, indent=1) + "\n")
-    payload = {"file": str(target), "digest": _digest(opened), "confirmation": confirmation}
-    emit(payload, [f"{target}", f"digest {_digest(opened)}"], as_json=as_json)
-    return 0
+    """Name what a signer should look at; exit 1 when there is an error."""
+    opened = read_unverified(mission)
+    findings = lint(opened, load_site(site))
+    failed = [f for f in findings if strict or f.severity is Severity.ERROR]
+    payload = {"lint": lint_json(findings), "digest": mission_digest(opened)}
+    emit(payload, finding_lines(findings) or ["nothing to look at"], as_json=as_json)
+    return 1 if failed else 0
+
+
+app.command("sign")(sign_command)
 
 
 @app.command("verify")
@@ -164,7 +165,7 @@ def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
     """Print what a token says, without any claim that it is authentic."""
     opened = read_token(read_file(token))
     mission = decode(unb64(opened.payload, where="token.payload"), Mission, where="mission")
-    payload = {"mission": msgspec.to_builtins(mission), "digest": _digest(mission)}
+    payload = {"mission": msgspec.to_builtins(mission), "digest": mission_digest(mission)}
     lines = [json.dumps(payload["mission"], indent=2), "(not verified)"]
     emit(payload, lines, as_json=as_json)
     return 0
@@ -178,22 +179,6 @@ def diff_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Show what a new version changes, widening first."""
-    changes = list(compare(_read_mission(old), _read_mission(new), load_site(site)))
+    changes = list(compare(read_unverified(old), read_unverified(new), load_site(site)))
     emit({"changes": changes}, changes, as_json=as_json)
     return 0
-
-
-def _read_mission(path: Path) -> Mission:
-    """Return a mission from `compile`'s file or from a token, unverified.
-
-    Raises:
-        MalformedError: neither.
-    """
-    data = read_file(path)
-    if b'"endorsements"' in data:
-        data = unb64(read_token(data).payload, where="token.payload")
-    return decode(data.removesuffix(b"\n"), Mission, where="mission")
-
-
-def _digest(mission: Mission) -> Digest:
-    return digest_of(Tag.MISSION, mission)

@@ -58,7 +58,7 @@ def normalize_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Read planner output on standard input and print the actions it means, or a refusal."""
-    model = load_site(site)
+    model = load_site(site, trust, wall_now(now))
     binder = Binder(model, read_binding(binding, model))
     verified = _mission(token, trust, now)
     ledger = read_context(context, binder.spellings())
@@ -138,6 +138,7 @@ def _answer(
     ]
     return {
         "actions": [action_json(action) for action in actions],
+        "dialect": str(plan.dialect),
         "evidence": plan.evidence,
         "influenced_by": [
             msgspec.to_builtins(item) for action in actions for item in ledger.influences(action)

@@ -52,12 +52,23 @@ def activate_command(
     trust: TrustOption,
     site: SiteOption,
     store: StoreOption,
+    confirmation: Annotated[
+        Path | None, typer.Option("--confirmation", help="What `sign` wrote beside the token.")
+    ] = None,
     robot: RobotOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Take in a signed mission (or the active one's next version) and make it active."""
     data = read_file(token)
-    return _manage(store, trust, site, robot, lambda m: m.activate(data), as_json=as_json)
+    said = None if confirmation is None else read_file(confirmation)
+    return _manage(
+        store,
+        trust,
+        site,
+        robot,
+        lambda m: m.activate(data, confirmation=said),
+        as_json=as_json,
+    )
 
 
 def _order(verb: Verb) -> Callable[..., int]:
@@ -149,7 +160,7 @@ def _manage(
     as_json: bool,
 ) -> int:
     """Do one management act on a store that no gate holds, and show the standing."""
-    gate = offline_gate(trust, load_site(site), rid=gate_robot(trust, robot), store=store)
+    gate = offline_gate(trust, load_site(site, trust), rid=gate_robot(trust, robot), store=store)
     try:
         standing = act(gate.management)
     finally:

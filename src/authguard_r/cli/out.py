@@ -50,18 +50,20 @@ def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: in
 
 
 def emit_clarification(error: ClarificationError, *, as_json: bool) -> int:
-    """Print a question that only a person can answer, with what the site knows for it."""
+    """Print the questions that only a person can answer, with what the site knows for each."""
+    asked = (error, *error.others)
     if as_json:
-        asked = {
-            "field": error.field,
-            "question": error.question,
-            "candidates": list(error.candidates),
-        }
+        questions = [
+            {"field": e.field, "question": e.question, "candidates": list(e.candidates)}
+            for e in asked
+        ]
         shown = {"code": str(error.reason), "message": error.message, "where": error.where}
-        sys.stdout.write(json.dumps({"error": shown, "clarification": asked}) + "\n")
+        answer = {"error": shown, "clarification": questions[0], "clarifications": questions}
+        sys.stdout.write(json.dumps(answer) + "\n")
     else:
-        sys.stderr.write(f"{error.reason}: {error.question} (at {error.field})\n")
-        sys.stderr.writelines(f"  {candidate}\n" for candidate in error.candidates)
+        for e in asked:
+            sys.stderr.write(f"{e.reason}: {e.question} (at {e.field})\n")
+            sys.stderr.writelines(f"  {candidate}\n" for candidate in e.candidates)
     return 3
 
 

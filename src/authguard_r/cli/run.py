@@ -143,7 +143,8 @@ def run_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
-    instant, model = wall_now(now), load_site(site)
+    instant = wall_now(now)
+    model = load_site(site, trust, instant)
     rid = gate_robot(trust, robot)
     if rid not in model.robots:
         raise typer.BadParameter(f"the site has no robot `{rid}`", param_hint="--robot")
@@ -190,7 +191,7 @@ def stop_command(
     """
     from authguard_r.assembly import offline_gate
 
-    gate = offline_gate(trust, load_site(site), rid=gate_robot(trust, robot), store=store)
+    gate = offline_gate(trust, load_site(site, trust), rid=gate_robot(trust, robot), store=store)
     try:
         gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     finally:

@@ -1,59 +1,84 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard site`: validate and look at a site model."""
+"""`authguard site`: check, look at, compare, import, sign and verify a site model."""
 
 from __future__ import annotations
 
+from decimal import Decimal
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import typer
 
-from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.inputs import (
+    JsonFlag,
+    NowOption,
+    TrustOption,
+    claimed_site,
+    load_site,
+    text_of,
+    wall_now,
+)
 from authguard_r.cli.out import emit
-from authguard_r.site.check import faults
-from authguard_r.site.model import Site, profile_digest, site_digest
-from authguard_r.site.source import convert, read_site, read_text, read_yaml
+from authguard_r.core.errors import MalformedError
+from authguard_r.keys.signer import read_signer
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site.change import changes, line_of
+from authguard_r.site.check import faults, unreviewed
+from authguard_r.site.model import Site, ancestors, profile_digest, site_digest, stopping_mm
+from authguard_r.site.names import shown
+from authguard_r.site.nav2 import import_map
+from authguard_r.site.picture import picture
+from authguard_r.site.places import adjacent
+from authguard_r.site.proposal import Proposal, identifier, millimeters, to_yaml
+from authguard_r.site.scene import import_scene
+from authguard_r.site.signed import read_signed_site, sign_site
 
 app = typer.Typer(help="The site model: what every word of a mission means.", no_args_is_help=True)
-SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML).")]
+import_app = typer.Typer(help="A draft site from another program's file.", no_args_is_help=True)
+app.add_typer(import_app, name="import")
+SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML, or a signed token).")]
+ForeignArgument = Annotated[Path, typer.Argument(help="The file to import.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Where to write the site (YAML).")]
+IdOption = Annotated[
+    str | None, typer.Option("--id", help="The site's id (default: from the file's name).")
+]
+FloorOption = Annotated[int, typer.Option("--floor", help="The floor that the file shows.")]
 
 
 @app.command("check")
 def check(site: SiteArgument, as_json: JsonFlag = False) -> int:
     """Name every fault of a site model with its place."""
-    model = convert(read_yaml(read_text(site), where=str(site)), Site, where=str(site))
-    found = faults(model)
+    model = claimed_site(site)
+    found, left = faults(model), unreviewed(model)
     payload = {
         "site": model.id,
         "digest": site_digest(model),
         "faults": [msgspec.to_builtins(fault) for fault in found],
+        "unreviewed": list(left),
     }
     lines = [f"{fault.where}: {fault.message}" for fault in found]
-    sound = f"{model.id}: sound, {len(model.regions)} regions, {len(model.objects)} objects"
-    emit(payload, lines or [sound], as_json=as_json)
+    if not found:
+        lines.append(
+            f"{model.id}: sound, {len(model.regions)} regions, {len(model.objects)} objects"
+        )
+    lines += [f"{place}: unreviewed; it cannot be signed so" for place in left]
+    emit(payload, lines, as_json=as_json)
     return 4 if found else 0
 
 
 @app.command("show")
-def show(site: SiteArgument, as_json: JsonFlag = False) -> int:
+def show(
+    site: SiteArgument,
+    svg: Annotated[
+        Path | None, typer.Option("--svg", help="Also draw the map into this file.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
     """Show regions, objects, robots and words of a site model."""
-    model = read_site(site)
-    lines = [f"{model.id} version {model.version}", f"digest {site_digest(model)}", "regions:"]
-    lines += [
-        f"  {region:20} floor {m.floor}  {', '.join(m.tags):12} {', '.join(m.names)}"
-        for region, m in model.regions.items()
-    ]
-    lines += ["objects:"]
-    lines += [
-        f"  {item:20} {m.kind:10} at {m.home}  {', '.join(m.names)}"
-        for item, m in model.objects.items()
-    ]
-    lines += ["robots:"]
-    lines += [
-        f"  {rid:20} profile {profile_digest(m.profile)}  {', '.join(m.profile.tools)}"
-        for rid, m in model.robots.items()
-    ]
+    model = load_site(site)
+    if svg is not None:
+        svg.write_text(picture(model), encoding="utf-8")
     payload = {
         "site": model.id,
         "version": model.version,
@@ -62,6 +87,200 @@ def show(site: SiteArgument, as_json: JsonFlag = False) -> int:
         "objects": list(model.objects),
         "robots": {rid: profile_digest(m.profile) for rid, m in model.robots.items()},
         "vocabulary": list(model.vocabulary),
+        "adjacent": [msgspec.to_builtins(pair) for pair in adjacent(model)],
+        "model": msgspec.to_builtins(model),
+        "svg": None if svg is None else str(svg),
     }
+    emit(payload, [*_places(model), *_words(model)], as_json=as_json)
+    return 0
+
+
+@app.command("diff")
+def diff(
+    old: Annotated[Path, typer.Argument(help="The site as it was.")],
+    new: Annotated[Path, typer.Argument(help="The site as it is to be.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """Show what a new version changes, what changes the meaning of a word first (exit 1)."""
+    before, after = load_site(old), load_site(new)
+    found = changes(before, after)
+    payload = {
+        "old": site_digest(before),
+        "new": site_digest(after),
+        "changes": [msgspec.to_builtins(change) for change in found],
+    }
+    emit(payload, [line_of(change) for change in found] or ["no difference"], as_json=as_json)
+    return 1 if found else 0
+
+
+@app.command("sign")
+def sign(
+    site: SiteArgument,
+    key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
+    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Sign a site model that has no faults and nothing unreviewed."""
+    model = load_site(site)
+    token = sign_site(model, read_signer(key, cert), where=str(site))
+    target = out or site.with_suffix(".token")
+    target.write_bytes(token)
+    payload = {"file": str(target), "digest": site_digest(model)}
+    emit(payload, [f"{target}", f"digest {site_digest(model)}"], as_json=as_json)
+    return 0
+
+
+@app.command("verify")
+def verify(
+    token: Annotated[Path, typer.Argument(help="A signed site model.")],
+    trust: TrustOption,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Check certificate, signature and soundness of a signed site, and say whose it is."""
+    opened = read_signed_site(
+        read_file(token), verifier=read_trust(trust), now=wall_now(now), where=str(token)
+    )
+    payload = {
+        "valid": True,
+        "site": opened.site.id,
+        "version": opened.site.version,
+        "digest": opened.digest,
+        "signer": opened.signer.id,
+        "role": opened.signer.role,
+    }
+    lines = [
+        f"authentic: {opened.site.id} version {opened.site.version}",
+        f"signed by {opened.signer.id} ({opened.signer.role})",
+        f"digest {opened.digest}",
+    ]
     emit(payload, lines, as_json=as_json)
     return 0
+
+
+@import_app.command("scene-graph")
+def scene_graph(
+    file: ForeignArgument,
+    out: OutOption,
+    radius: Annotated[
+        str, typer.Option("--radius", help="Half the side of a region's square, meters.")
+    ] = "0.5",
+    site_id: IdOption = None,
+    floor: FloorOption = 0,
+    as_json: JsonFlag = False,
+) -> int:
+    """Draft a site from a scene graph (JSON: regions, objects, connections)."""
+    proposal = import_scene(
+        text_of(read_file(file), str(file)),
+        site=_id(site_id, file),
+        floor=floor,
+        radius_mm=_meters(radius, "--radius"),
+        where=str(file),
+    )
+    return _written(proposal, file, out, as_json=as_json)
+
+
+@import_app.command("nav2-map")
+def nav2_map(
+    file: ForeignArgument,
+    out: OutOption,
+    min_area: Annotated[
+        str, typer.Option("--min-area", help="Free space that is smaller is left out, m2.")
+    ] = "1",
+    site_id: IdOption = None,
+    floor: FloorOption = 0,
+    as_json: JsonFlag = False,
+) -> int:
+    """Draft a site from a map server's map (YAML and PGM)."""
+    proposal = import_map(
+        file,
+        site=_id(site_id, file),
+        floor=floor,
+        min_area_mm2=_meters(min_area, "--min-area") * 1000,
+    )
+    return _written(proposal, file, out, as_json=as_json)
+
+
+def _written(proposal: Proposal, file: Path, out: Path, *, as_json: bool) -> int:
+    out.write_text(to_yaml(proposal, where=str(file)), encoding="utf-8")
+    model = proposal.site
+    payload = {
+        "file": str(out),
+        "site": model.id,
+        "regions": list(model.regions),
+        "objects": list(model.objects),
+        "doors": len(model.doors),
+        "missing": list(proposal.missing),
+    }
+    told = f"{len(model.regions)} regions, {len(model.objects)} objects, {len(model.doors)} doors"
+    lines = [f"{out}: {told}", "before it is signed:", *(f"  {m}" for m in proposal.missing)]
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+def _id(given: str | None, file: Path) -> str:
+    """Return the id that was asked for, or one made of the file's name."""
+    try:
+        return identifier(file.stem if given is None else given, where="--id")
+    except MalformedError as error:
+        raise typer.BadParameter(error.message, param_hint="--id") from error
+
+
+def _meters(text: str, option: str) -> int:
+    """Return an option in meters (or square meters) as whole thousandths, at least one tenth."""
+    try:
+        value = millimeters(Decimal(text), where=option)
+    except (ArithmeticError, MalformedError) as error:
+        raise typer.BadParameter("expected a number such as 0.5", param_hint=option) from error
+    if value < 100:
+        raise typer.BadParameter("expected at least 0.1", param_hint=option)
+    return value
+
+
+def _places(model: Site) -> list[str]:
+    """Return where things are, for people."""
+    lines = [f"{model.id} version {model.version}", f"digest {site_digest(model)}", "regions:"]
+    for region, m in model.regions.items():
+        inside = "".join(f" in {parent}" for parent in ancestors(model, region))
+        names = ", ".join(map(shown, m.names))
+        lines.append(f"  {region:20} floor {m.floor}  {', '.join(m.tags):12} {names}{inside}")
+    lines += ["doors:"]
+    lines += [
+        f"  {' - '.join(door.between)} at {door.at[0]}, {door.at[1]} mm"
+        + (f", open while {door.variable}" if door.variable else "")
+        for door in model.doors
+    ]
+    lines += ["objects:"]
+    lines += [
+        f"  {item:20} {m.kind:10} at {m.home}  {', '.join(map(shown, m.names))}"
+        for item, m in model.objects.items()
+    ]
+    return lines
+
+
+def _words(model: Site) -> list[str]:
+    """Return who acts and how, for people; parts that the site does not have are left out."""
+    lines = ["robots:"]
+    for rid, m in model.robots.items():
+        lines.append(
+            f"  {rid:20} profile {profile_digest(m.profile)}  {', '.join(m.profile.tools)}"
+        )
+        way = stopping_mm(m.profile, m.profile.max_speed_mm_s)
+        if way is not None:
+            lines.append(f"  {'':20} stops within {way} mm from {m.profile.max_speed_mm_s} mm/s")
+    parts: dict[str, Any] = {
+        "people": [
+            f"{person:20} {', '.join(m.roles)}  {', '.join(map(shown, m.names))}"
+            for person, m in model.people.items()
+        ],
+        "emergency places": [
+            f"{region:20} {purpose}"
+            for region, purpose in (model.emergency.places if model.emergency else {}).items()
+        ],
+        "baseline": list(model.baseline),
+    }
+    for title, told in parts.items():
+        if told:
+            lines += [f"{title}:", *(f"  {line}" for line in told)]
+    return lines

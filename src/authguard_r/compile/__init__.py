@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mission compiler: draft to mission, review card, and the smallest signed change."""
+"""The mission compiler: draft to mission or questions, lint, card, comparison, confirmation."""

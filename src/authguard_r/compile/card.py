@@ -1,124 +1,181 @@
 # SPDX-License-Identifier: Apache-2.0
 """The operator's card: what a mission grants, row by row, and what it does not.
 
-Written from the very structure that is signed, never from the draft. Risks to privacy and bodies
-are marked; a new version's widening comes first. How-to: docs/howto/missions.md
+Written from the very structure that is signed, never from the draft: two missions that differ
+never have one card. Risks to privacy and bodies are marked. How-to: docs/howto/missions.md
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from authguard_r.core.mission import Grant, Guard, Limit, Mission, Row
+from authguard_r.compile import spoken
+from authguard_r.compile.difference import compare
+from authguard_r.compile.worst import facts_for, worst_risk
+from authguard_r.core.encoding import Tag, digest
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.mission import Grant, Mission, RiskPolicy
+from authguard_r.core.quantities import to_ms
+from authguard_r.core.risk import required, tier_of
 from authguard_r.site.model import Site
 
-_COMPARISON = {"eq": "is", "ne": "is not", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
+RIGHTS = ("record", "store", "transmit")
 
 
 def review(mission: Mission, site: Site) -> tuple[str, ...]:
-    """Return the card's lines."""
-    return (*_head(mission), *_grants(mission, site), *_rest(mission, site))
+    """Return the card's lines; the same mission and site give the same lines."""
+    return (
+        *_head(mission, site),
+        *_grants(mission, site),
+        *_totals(mission),
+        *_approvals(mission, site),
+        *_withheld(mission, site),
+        *_bound(mission),
+    )
 
 
-def compare(old: Mission, new: Mission, site: Site) -> tuple[str, ...]:
-    """Return what a new version changes, widening first."""
-    before, after = set(_permissions(old, site)), set(_permissions(new, site))
-    added = [f"ADDS    {line}" for line in _permissions(new, site) if line not in before]
-    removed = [f"removes {line}" for line in _permissions(old, site) if line not in after]
-    return (*added, *removed) or ("changes no permission",)
+def card_digest(lines: tuple[str, ...]) -> Digest:
+    """Return the digest of a card's bytes: its lines in UTF-8, joined by newlines."""
+    return digest(Tag.RAW, "\n".join(lines).encode("utf-8"))
 
 
-def _head(mission: Mission) -> Iterator[str]:
+def _head(mission: Mission, site: Site) -> Iterator[str]:
+    length = to_ms(mission.expiry, where="expiry") - to_ms(mission.not_before, where="not_before")
+    window = f"{mission.not_before} to {mission.expiry} ({spoken.duration(length)})"
     yield f"Mission {mission.mid}, version {mission.version}, for robot {mission.rid}"
-    yield f'  "{mission.task}"'
-    yield f"  signed by {mission.issuer}; valid {mission.not_before} to {mission.expiry}"
+    yield f"  {spoken.quoted(mission.task)}"
+    yield f"  signed by {mission.issuer}; valid {window}"
+    yield f"  only with a place read at most {spoken.duration(mission.place_max_age_ms)} ago"
     for guard in mission.guards:
-        yield f"  only while {_condition(guard)}"
+        yield f"  only while {spoken.condition(guard)}"
+    for item in mission.limits:
+        yield f"  never outside {spoken.limit(item, site)}"
+    yield f"  only with objects: {', '.join(mission.objects) or 'none'}"
+    yield f"  only in regions: {', '.join(mission.regions) or 'none'}"
 
 
 def _grants(mission: Mission, site: Site) -> Iterator[str]:
     yield "It grants:"
+    facts = facts_for(mission, site)
     for grant in mission.actions:
         yield from _grant(grant, site)
+        yield f"    {_asked(mission, grant, facts)}"
 
 
 def _grant(grant: Grant, site: Site) -> Iterator[str]:
-    mark = _marks(grant, site)
-    times = f"{grant.repeat} time(s), at most {grant.starts} start(s), {grant.max_ms} ms each"
-    yield f"  {grant.id}: {grant.type} with {grant.tool}, {times}{mark}"
+    how = f"{spoken.times(grant.repeat)}, at most {grant.starts} start(s)"
+    longest = f"up to {spoken.duration(grant.max_ms)} each"
+    yield f"  {grant.id}: {grant.type} with {grant.tool}, {how}, {longest}{_marks(grant, site)}"
     for row in grant.alternatives:
-        yield f"    - {_row(row)}"
-    if len(grant.alternatives) > 1:
-        yield f"    chosen by: {grant.chooser}"
-    for limit in grant.limits:
-        yield f"    {_limit(limit)}"
+        yield f"    - {spoken.row(row, site)}"
+    every = ": every row, also one that an attacker picks" * (grant.chooser == "planner")
+    yield f"    chosen by: {grant.chooser}{every}"
+    for item in grant.limits:
+        yield f"    {spoken.limit(item, site)}"
     for guard in grant.guards:
-        yield f"    only while {_condition(guard)}"
+        yield f"    only while {spoken.condition(guard)}"
     if grant.after:
-        yield f"    after: {', '.join(grant.after)}"
+        yield f"    only after: {', '.join(grant.after)}"
     if grant.until:
-        yield f"    until: {', '.join(grant.until)}"
-    rights = [r for r in ("record", "store", "transmit") if getattr(grant.data, r)]
+        yield f"    only until: {', '.join(grant.until)}"
+    for guard in grant.done_when:
+        yield f"    counts as done when {spoken.condition(guard)}"
+    if grant.completes:
+        yield "    the mission is complete with it"
+    rights = [right for right in RIGHTS if getattr(grant.data, right)]
     if rights:
         yield f"    MAY {', '.join(rights)} sensor data"
 
 
 def _marks(grant: Grant, site: Site) -> str:
-    """Mark what touches privacy, moves a body, or cannot be undone."""
+    """Mark what touches privacy, moves a body, presses on one, or cannot be undone."""
     kind = site.vocabulary.get(grant.type)
     held = (
         ("PRIVACY", kind is not None and kind.privacy > 0),
         ("MOTION", kind is not None and kind.moves),
+        ("FORCE", any(item.parameter.startswith("force_") for item in grant.limits)),
         ("IRREVERSIBLE", grant.irreversible),
     )
     marks = [name for name, holds in held if holds]
     return f"  [{', '.join(marks)}]" if marks else ""
 
 
-def _rest(mission: Mission, site: Site) -> Iterator[str]:
-    budgets, policy = mission.budgets, mission.risk_policy
+def _asked(mission: Mission, grant: Grant, facts: SiteFacts | None) -> str:
+    """Say in words whom the riskiest action of the grant asks."""
+    if facts is None:
+        return "nobody can say whom it asks: this site has no such robot"
+    policy = mission.risk_policy
+    risk = max(worst_risk(mission, grant, row, facts) for row in grant.alternatives)
+    count = required(policy, tier_of(policy, risk))
+    if count == 1:
+        return f"asks nobody: its risk is at most {risk}"
+    return f"asks {count - 1} further person(s) at its riskiest ({risk})"
+
+
+def _totals(mission: Mission) -> Iterator[str]:
+    budgets, rate = mission.budgets, mission.budgets.rate
     yield (
-        f"In all: {budgets.actions} actions, {budgets.motion_ms} ms in motion, "
-        f"{budgets.wait_ms} ms waiting, {budgets.recorded_bytes} bytes recorded"
+        f"In all: {budgets.actions} actions, at most {rate.count} in "
+        f"{spoken.duration(rate.per_ms)}; {spoken.duration(budgets.motion_ms)} in motion, "
+        f"{spoken.duration(budgets.wait_ms)} waiting; "
+        f"{spoken.quantity(budgets.recorded_bytes, 'byte')} recorded; "
+        f"an alert after {budgets.planner_stops} stops by the planner"
+    )
+    yield f"After a refusal: {mission.on_refusal}"
+    if mission.closing is not None:
+        names, long = ", ".join(mission.closing.grants), spoken.duration(mission.closing.for_ms)
+        yield f"Once complete, {names} may still be used for {long}"
+
+
+def _approvals(mission: Mission, site: Site) -> Iterator[str]:
+    policy = mission.risk_policy
+    yield (
+        f"Below risk {policy.tau_1} it asks nobody; from {policy.tau_1} a second person, from "
+        f"{policy.tau_2} {policy.t} people in all, the signer included"
     )
     yield (
-        f"Asks a second person from risk {policy.tau_1}, {policy.t} people from {policy.tau_2} "
-        f"(of {', '.join(policy.roles)})"
+        f"  of the roles {', '.join(policy.roles)}; a request lives "
+        f"{spoken.duration(policy.valid_ms)}, at most {mission.budgets.prompts} request(s)"
     )
+    yield f"  risk is the sum of: {'; '.join(_weights(policy, site))}"
+
+
+def _weights(policy: RiskPolicy, site: Site) -> Iterator[str]:
+    for what, weights in (
+        ("action", policy.types),
+        ("region", policy.region_tags),
+        ("object", policy.object_classes),
+    ):
+        listed = [f"{name} {weight}" for name, weight in sorted(weights.items())]
+        yield f"{what} ({', '.join([*listed, f'any other {policy.otherwise}'])})"
+    for item in policy.parameters:
+        scale = spoken.quantity(item.full_scale, spoken.unit_of(item.parameter, site))
+        yield f"{item.parameter} ({item.weight} at {scale})"
+    for state in policy.states:
+        yield f"{state.weight} unless it is attested that not: {spoken.condition(state.guard)}"
+    yield f"each step of privacy {policy.privacy}"
+
+
+def _withheld(mission: Mission, site: Site) -> Iterator[str]:
     granted = {grant.type for grant in mission.actions}
     tools = site.robots[mission.rid].profile.tools if mission.rid in site.robots else {}
     withheld = sorted(kind for kind in tools if kind not in granted)
     closed = sorted(region for region in site.regions if region not in mission.regions)
+    handled = {row.object for grant in mission.actions for row in grant.alternatives}
+    others = sorted(item for item in site.objects if item not in handled)
+    kept = [r for r in RIGHTS if not any(getattr(grant.data, r) for grant in mission.actions)]
     yield f"It does NOT grant: {', '.join(withheld) or 'nothing that this robot can do'}"
     yield f"It never enters: {', '.join(closed) or 'no region is closed'}"
+    yield f"It never handles: {', '.join(others) or 'no object is left out'}"
+    yield f"Withheld rights to sensor data: {', '.join(kept) or 'none'}"
 
 
-def _permissions(mission: Mission, site: Site) -> Iterator[str]:
-    """One line for each thing that a version permits, so that versions can be compared."""
-    yield f"valid {mission.not_before} to {mission.expiry}"
-    for grant in mission.actions:
-        lines = list(_grant(grant, site))
-        for row in grant.alternatives:
-            yield f"{grant.id}: {grant.type} {_row(row)}"
-        for line in lines[1:]:
-            if not line.startswith("    - "):
-                yield f"{grant.id}:{line[3:]}"
-        yield lines[0].strip()
+def _bound(mission: Mission) -> Iterator[str]:
+    yield f"Bound to site {mission.site}"
+    yield f"  and to profile {mission.profile}; nonce {mission.nonce}"
+    if mission.supersedes is not None:
+        yield f"  takes the place of {mission.supersedes}"
 
 
-def _row(row: Row) -> str:
-    parts = [f"{f} {getattr(row, f)}" for f in ("object", "source", "destination")]
-    named = [part for part in parts if not part.endswith(" None")]
-    within = f"within {', '.join(row.regions)}" if row.regions else "nowhere in particular"
-    return ", ".join([*named, within])
-
-
-def _limit(limit: Limit) -> str:
-    return f"{limit.parameter} from {limit.low} to {limit.high}"
-
-
-def _condition(guard: Guard) -> str:
-    return (
-        f"{guard.variable} {_COMPARISON[guard.comparison]} {guard.value} "
-        f"(at most {guard.max_age_ms} ms old)"
-    )
+__all__ = ["card_digest", "compare", "review"]

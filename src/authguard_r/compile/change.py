@@ -82,6 +82,9 @@ def to_draft(mission: Mission) -> dict[str, Any]:
     plain = msgspec.to_builtins(mission)
     policy, budgets = dict(plain["risk_policy"]), plain["budgets"]
     policy["valid"] = policy.pop("valid_ms")
+    policy["states"] = [
+        {**item, "guard": _draft_guard(item["guard"])} for item in policy.get("states", ())
+    ]
     draft: dict[str, Any] = {
         "mission": plain["mid"],
         "version": plain["version"],
@@ -115,6 +118,7 @@ def to_draft(mission: Mission) -> dict[str, Any]:
 def _draft_grant(grant: dict[str, Any]) -> dict[str, Any]:
     draft = dict(grant)
     draft["rows"] = draft.pop("alternatives")
+    draft["data"] = {"record": False, "store": False, "transmit": False, **draft["data"]}
     draft["max"] = draft.pop("max_ms")
     draft["limits"] = _draft_limits(draft.get("limits", ()))
     for name in ("guards", "done_when"):

@@ -8,15 +8,33 @@ signs what it says.
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from functools import cache
 from typing import Any
 
+from authguard_r.compile.draft import Quantity
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.identifiers import MAX_INTEGER
 
+#: What people write for a target unit; offered when a number comes without one.
+_SPELLED: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("ms", ("s", "min", "h")),
+    ("mm/s", ("m/s", "km/h")),
+    ("mm", ("m", "cm")),
+    ("mN", ("N",)),
+    ("byte", ("MB", "kB")),
+    ("microradian", ("rad",)),
+    ("microradian/s", ("rad/s",)),
+)
+#: Short numbers and plain units only: an exponent of a billion digits would never come back.
+_QUANTITY = re.compile(
+    r"(?P<number>[+-]?[0-9]{1,20}(?:[./][0-9]{1,20})?)"
+    r"(?: *(?P<unit>[A-Za-z%µ°]{1,24}(?:/[A-Za-z]{1,24})?(?:\^2)?))?"
+)
 
-def to_integer(value: str | int, unit: str, *, where: str) -> int:
+
+def to_integer(value: Quantity, unit: str, *, where: str) -> int:
     """Return the quantity as a whole number of `unit`.
 
     Args:
@@ -30,19 +48,34 @@ def to_integer(value: str | int, unit: str, *, where: str) -> int:
     """
     if isinstance(value, int):
         return _in_range(value, where)
-    number, _, spelled = value.strip().partition(" ")
-    if not spelled:
+    text = str(value).strip()
+    read = _QUANTITY.fullmatch(text)
+    if read is None:
+        raise MalformedError(f"expected a number and a unit, got `{text[:80]}`", where=where)
+    number, spelled = read["number"], read["unit"]
+    if spelled is None:
         raise ClarificationError(
-            f"`{value}` has no unit; which one is meant?", field=where, candidates=(unit,)
+            f"`{number}` has no unit; which one is meant?",
+            field=where,
+            candidates=tuple(f"{number} {spelling}" for spelling in _spellings(unit)),
         )
+    return _in_range(_scaled(number, spelled, unit, where), where)
+
+
+def _scaled(number: str, spelled: str, unit: str, where: str) -> int:
+    shown = f"{number} {spelled}"
     try:
         exact = Fraction(number)
-    except (ValueError, ZeroDivisionError) as error:
-        raise MalformedError(f"expected a number and a unit, got `{value}`", where=where) from error
+    except ZeroDivisionError as error:
+        raise MalformedError(f"expected a number and a unit, got `{shown}`", where=where) from error
     scaled = exact * _factor(spelled, unit, where)
     if scaled.denominator != 1:
-        raise MalformedError(f"`{value}` is no whole number of {unit}", where=where)
-    return _in_range(scaled.numerator, where)
+        raise MalformedError(f"`{shown}` is no whole number of {unit}", where=where)
+    return scaled.numerator
+
+
+def _spellings(unit: str) -> tuple[str, ...]:
+    return (*dict(_SPELLED).get(unit, ()), unit)
 
 
 def _factor(spelled: str, unit: str, where: str) -> Fraction:

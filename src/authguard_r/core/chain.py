@@ -46,4 +46,4 @@ class Link(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def link(record: Link) -> bytes:
     """Return L_i, 32 bytes."""
-    return sha256(Tag.AUDIT.encode() + b"\0" + encode_fast(record)).digest()
+    return sha256(Tag.AUDIT.prefix + encode_fast(record)).digest()

@@ -10,7 +10,7 @@ Source: `eq:signature`, section "Hash Function". Spec page: docs/spec/encoding.m
 
 from __future__ import annotations
 
-from binascii import a2b_base64, b2a_base64
+from binascii import b2a_base64
 from enum import StrEnum
 from hashlib import sha256
 from typing import Any, TypeVar, cast
@@ -28,12 +28,14 @@ MAX_BYTES = 1 << 20
 T = TypeVar("T")
 _FAST = msgspec.json.Encoder(order="sorted")
 _URL_SAFE = bytes.maketrans(b"+/", b"-_")
-#: base64url to base64; what only the latter has becomes a space, which a strict reader refuses.
-_STANDARD = bytes.maketrans(b"-_+/=", b"+/   ")
 
 
 class Tag(StrEnum):
     """Domain separation: a signature made for one kind of object never verifies for another."""
+
+    def __init__(self, spelled: str) -> None:
+        """Keep what is hashed in front of every object of this kind: tag || 0x00."""
+        self.prefix = spelled.encode("ascii") + b"\0"
 
     MISSION = "authguard-r/mission/1"
     SELECTION = "authguard-r/selection/1"
@@ -74,7 +76,7 @@ def encode_fast(value: object) -> bytes:
 
 def digest(tag: Tag, data: bytes) -> Digest:
     """Return H(tag || 0x00 || data), the value that is signed, bound and chained."""
-    return Digest(b64(sha256(tag.encode() + b"\0" + data).digest()))
+    return Digest(b64(sha256(tag.prefix + data).digest()))
 
 
 def digest_of(tag: Tag, value: object) -> Digest:
@@ -121,10 +123,12 @@ def unb64(text: str, *, where: str = "") -> bytes:
     Raises:
         MalformedError: not base64url, padded, or with stray bits at the end.
     """
+    # what only base64 has becomes a space, which the reader refuses like anything else
+    spelled = text.replace("+", " ").replace("/", " ").replace("=", " ")
+    spelled = spelled.replace("-", "+").replace("_", "/") + "=" * (-len(text) % 4)
     try:
-        spelled = text.encode("ascii").translate(_STANDARD) + b"=" * (-len(text) % 4)
-        data = a2b_base64(spelled, strict_mode=True)
-    except ValueError as error:
+        data = msgspec.convert(spelled, bytes)
+    except (msgspec.ValidationError, UnicodeEncodeError) as error:
         raise MalformedError("expected base64url without padding", where=where) from error
     odd = len(data) % 3  # only the bytes of an unfinished group of three have a second spelling
     if odd and b64(data[-odd:]) != text[-odd - 1 :]:

@@ -56,10 +56,11 @@ class ActionKind(Struct, frozen=True, kw_only=True):
 
 
 class RegionFacts(Struct, frozen=True):
-    """One region: its shape and the tags that the risk policy weighs."""
+    """One region: its shape, the tags that the risk policy weighs, and the regions around it."""
 
     area: Polygon
     tags: frozenset[str]
+    around: frozenset[ids.RegionId] = frozenset()
 
 
 class RobotFacts(Struct, frozen=True, kw_only=True):

@@ -42,15 +42,21 @@ def may_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
 
     Wrong reading: true does not mean the robot is inside; it means nobody can say it is not.
     """
-    x, y = point
-    if not (area.low[0] - margin_mm <= x <= area.high[0] + margin_mm):
+    (x, y), low, high, far = point, area.low, area.high, margin_mm
+    if not (low[0] - far <= x <= high[0] + far and low[1] - far <= y <= high[1] + far):
         return False
-    if not (area.low[1] - margin_mm <= y <= area.high[1] + margin_mm):
-        return False
-    edges = list(zip(area.points, area.points[1:] + area.points[:1], strict=True))
-    if _inside(edges, point):
-        return True
-    return any(_within(a, b, point, margin_mm) for a, b in edges)
+    edges = _edges(area)
+    return _inside(edges, point) or any(_within(a, b, point, margin_mm) for a, b in edges)
+
+
+def must_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
+    """True when every position within `margin_mm` of `point` lies inside the polygon's edge."""
+    edges = _edges(area)
+    return _inside(edges, point) and not any(_within(a, b, point, margin_mm) for a, b in edges)
+
+
+def _edges(area: Polygon) -> list[tuple[Point, Point]]:
+    return list(zip(area.points, area.points[1:] + area.points[:1], strict=True))
 
 
 def may_cross(area: Polygon, path: tuple[Point, ...], margin_mm: int) -> bool:
@@ -63,9 +69,7 @@ def may_cross(area: Polygon, path: tuple[Point, ...], margin_mm: int) -> bool:
     """
     if any(may_lie_in(area, point, margin_mm) for point in path):
         return True
-    edges = tuple(zip(area.points, area.points[1:] + area.points[:1], strict=True))
-    legs = tuple(pairwise(path))
-    return any(_near(leg, edge, margin_mm) for leg in legs for edge in edges)
+    return any(_near(leg, edge, margin_mm) for leg in pairwise(path) for edge in _edges(area))
 
 
 def stopping_margin(margin_mm: int, speed_mm_s: int, *, reaction_ms: int, brake_mm_s2: int) -> int:

@@ -73,12 +73,8 @@ def permit(
     ticket: Digest,
 ) -> Lease:
     """Return the lease of an accepted action; the caller has the decision."""
-    kind = facts.vocabulary[action.type]
-    monitored = (
-        (kind.params[name].monitored_by, value)
-        for name, value in action.params.items()
-        if name in kind.params
-    )
+    kinds, params = facts.vocabulary[action.type].params, action.params
+    monitored = [(kinds[name].monitored_by, high) for name, high in params.items() if name in kinds]
     return Lease(
         mid=verified.mission.mid,
         version=verified.mission.version,
@@ -88,7 +84,7 @@ def permit(
         until_utc_ms=verified.expiry_ms,
         until_mono_ms=now.mono_ms + grant.max_ms,
         regions=row.regions,
-        bounds=tuple(Bound(variable, high) for variable, high in monitored if variable is not None),
+        bounds=tuple([Bound(which, high) for which, high in monitored if which is not None]),
         guards=(*verified.mission.guards, *grant.guards),
         max_age_ms=verified.mission.place_max_age_ms,
     )
@@ -117,11 +113,11 @@ def still(
             now=now,
             max_age_ms=lease.max_age_ms,
         )
-    guards = (guard_finding(guard, state, rid, now) for guard in lease.guards)
+    guards = [guard_finding(guard, state, rid, now) for guard in lease.guards]
     found += [finding for finding in guards if finding is not None]
     for bound in lease.bounds:
         found += _bound(lease, bound, state=state, facts=facts, now=now)
-    return in_paper_order(tuple(found))
+    return in_paper_order(tuple(found)) if found else ()
 
 
 def _time(lease: Lease, now: Now) -> Findings:

@@ -23,6 +23,8 @@ from authguard_r.core.reasons import Reason
 
 MAX_GRANTS = 64
 MAX_ROWS = 256
+_NO_SET = "expected a sorted set without repeats"
+_NO_ENDS = "expected to hold the row's source and destination"
 
 
 class Comparison(StrEnum):
@@ -298,7 +300,8 @@ def _faults(mission: Mission) -> Iterator[tuple[str, str]]:
     if len(known) != len(mission.actions):
         yield "actions", "expected grant ids that differ"
     for number, grant in enumerate(mission.actions):
-        yield from _grant_faults(f"actions[{number}]", grant, known)
+        for place, fault in _grant_faults(grant, known):
+            yield f"actions[{number}].{place}", fault
     if mission.closing:
         yield from _named("closing.grants", mission.closing.grants, known)
 
@@ -309,7 +312,7 @@ def _rising(items: tuple[str, ...]) -> bool:
 
 def _set(place: str, items: tuple[str, ...]) -> Iterator[tuple[str, str]]:
     if not _rising(items):
-        yield place, "expected a sorted set without repeats"
+        yield place, _NO_SET
 
 
 def _named(
@@ -321,28 +324,28 @@ def _named(
 
 
 def _limits(place: str, limits: tuple[Limit, ...]) -> Iterator[tuple[str, str]]:
-    if not _rising(tuple([limit.parameter for limit in limits])):
+    if len(limits) > 1 and not _rising(tuple([limit.parameter for limit in limits])):
         yield place, "expected limits sorted by parameter, one for each"
     for number, limit in enumerate(limits):
         if limit.low > limit.high:
             yield f"{place}[{number}].high", "expected at least `low`"
 
 
-def _grant_faults(place: str, grant: Grant, known: set[ids.GrantId]) -> Iterator[tuple[str, str]]:
+def _grant_faults(grant: Grant, known: set[ids.GrantId]) -> Iterator[tuple[str, str]]:
+    """Yield the faults of one grant; a place is spelled only when there is a fault in it."""
     if grant.starts < grant.repeat:
-        yield f"{place}.starts", "expected at least `repeat`"
-    yield from _named(f"{place}.after", grant.after, known)
-    yield from _named(f"{place}.until", grant.until, known)
-    if grant.id in grant.after or grant.id in grant.until:
-        yield f"{place}.id", "expected a grant that does not wait for itself"
-    if len(set(grant.alternatives)) != len(grant.alternatives):
-        yield f"{place}.alternatives", "expected rows that differ"
-    yield from _limits(f"{place}.limits", grant.limits)
+        yield "starts", "expected at least `repeat`"
+    if grant.after or grant.until:
+        yield from _named("after", grant.after, known)
+        yield from _named("until", grant.until, known)
+        if grant.id in grant.after or grant.id in grant.until:
+            yield "id", "expected a grant that does not wait for itself"
+    if 1 < len(grant.alternatives) != len(set(grant.alternatives)):
+        yield "alternatives", "expected rows that differ"
+    yield from _limits("limits", grant.limits)
     for index, row in enumerate(grant.alternatives):
-        yield from _set(f"{place}.alternatives[{index}].regions", row.regions)
+        if not _rising(row.regions):
+            yield f"alternatives[{index}].regions", _NO_SET
         for end in (row.source, row.destination):
             if end is not None and end not in row.regions:
-                yield (
-                    f"{place}.alternatives[{index}].regions",
-                    "expected to hold the row's source and destination",
-                )
+                yield f"alternatives[{index}].regions", _NO_ENDS

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from authguard_r.core import identifiers as ids
+from authguard_r.core.encoding import Tag, digest, encode_fast
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.geometry import may_lie_in
-from authguard_r.core.identifiers import Count, Identifier, Integer, RegionId, RobotId, VariableId
+from authguard_r.core.geometry import may_lie_in, must_lie_in
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 
@@ -26,9 +27,9 @@ class Reading(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         age_ms: how old it was when the snapshot was made, in milliseconds.
     """
 
-    value: Integer | bool | Identifier
+    value: ids.Integer | bool | ids.Identifier
     label: Label
-    age_ms: Count
+    age_ms: ids.Count
 
 
 class Pose(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,13 +45,13 @@ class Pose(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         age_ms: as in `Reading`.
     """
 
-    map: Identifier
-    floor: Integer
-    x_mm: Integer
-    y_mm: Integer
-    margin_mm: Count
+    map: ids.Identifier
+    floor: ids.Integer
+    x_mm: ids.Integer
+    y_mm: ids.Integer
+    margin_mm: ids.Count
     label: Label
-    age_ms: Count
+    age_ms: ids.Count
 
 
 class Snapshot(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -64,49 +65,61 @@ class Snapshot(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
         readings: by variable.
     """
 
-    robot: RobotId
-    epoch: Count
-    seq: Count
+    robot: ids.RobotId
+    epoch: ids.Count
+    seq: ids.Count
     pose: Pose | None = None
-    readings: dict[VariableId, Reading] = {}
+    readings: dict[ids.VariableId, Reading] = {}
 
 
 class AttestedState(Struct, frozen=True, kw_only=True):
-    """A snapshot that the gate authenticated, with the place worked out once.
+    """A snapshot that the gate authenticated, with what every decision on it needs, once.
+
+    Only `attest` makes one, so that bytes, digest and place are always this snapshot's.
 
     Args:
         snapshot: what was signed.
+        data: its canonical bytes, which the log keeps with every decision.
+        digest: their digest.
         place: every region that the pose may lie in; empty when it lies in none or is unknown.
         arrived_mono_ms: the gate's monotonic clock when it came in.
     """
 
     snapshot: Snapshot
-    place: frozenset[RegionId]
+    data: bytes
+    digest: ids.Digest
+    place: frozenset[ids.RegionId]
     arrived_mono_ms: int
 
 
 def attest(snapshot: Snapshot, facts: SiteFacts, *, arrived_mono_ms: int) -> AttestedState:
     """Return the state that checks read; the caller has authenticated the snapshot."""
+    data = encode_fast(snapshot)
+    hashed, place = digest(Tag.STATE, data), place_of(snapshot, facts)
     return AttestedState(
-        snapshot=snapshot, place=place_of(snapshot, facts), arrived_mono_ms=arrived_mono_ms
+        snapshot=snapshot, data=data, digest=hashed, place=place, arrived_mono_ms=arrived_mono_ms
     )
 
 
-def place_of(snapshot: Snapshot, facts: SiteFacts) -> frozenset[RegionId]:
+def place_of(snapshot: Snapshot, facts: SiteFacts) -> frozenset[ids.RegionId]:
     """Return every region that the robot may be in.
 
     A position inside a margin of two regions is in both, and passes only where both are allowed.
+    Of a region and the one around it, only the inner counts once no doubt is left: granting the
+    outer one grants nothing inside it.
     """
     pose = snapshot.pose
     if pose is None:
         return frozenset()
-    return frozenset(
-        region
+    point, margin = (pose.x_mm, pose.y_mm), pose.margin_mm
+    near = {
+        region: known
         for region, known in facts.regions.items()
-        if known.area.map == pose.map
-        and known.area.floor == pose.floor
-        and may_lie_in(known.area, (pose.x_mm, pose.y_mm), pose.margin_mm)
-    )
+        if (known.area.map, known.area.floor) == (pose.map, pose.floor)
+        and may_lie_in(known.area, point, margin)
+    }
+    inner = (known for known in near.values() if must_lie_in(known.area, point, margin))
+    return frozenset(near).difference(*(known.around for known in inner))
 
 
 def age_ms(state: AttestedState, reading: Reading | Pose, now: Now) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
+from typing import Any
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -48,14 +49,11 @@ _OID: dict[Role, ObjectIdentifier] = {
     role: ObjectIdentifier(f"{_ARC}.{number}") for number, role in enumerate(Role, 1)
 }
 _ROLE: dict[ObjectIdentifier, Role] = {oid: role for role, oid in _OID.items()}
-_KNOWN_CRITICAL = frozenset(
-    {
-        x509.BasicConstraints.oid,
-        x509.KeyUsage.oid,
-        x509.ExtendedKeyUsage.oid,
-        x509.SubjectAlternativeName.oid,
-    }
-)
+_BASIC, _USAGE = x509.BasicConstraints.oid, x509.KeyUsage.oid
+_EXTENDED_USAGE, _ALTERNATIVE_NAME = x509.ExtendedKeyUsage.oid, x509.SubjectAlternativeName.oid
+_KNOWN_CRITICAL = frozenset({_BASIC, _USAGE, _EXTENDED_USAGE, _ALTERNATIVE_NAME})
+#: The extensions of one certificate, read once; the library reads the value by the identifier.
+_Extensions = dict[ObjectIdentifier, x509.Extension[Any]]
 
 
 class Leaf(Struct, frozen=True, kw_only=True):
@@ -159,13 +157,13 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
     moment = _EPOCH + timedelta(milliseconds=now.utc_ms)
     allowed = _require_authority(authority, root, moment)
     _require_issued(leaf, authority, where="certificate.leaf")
-    _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
+    extensions = _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
     _require_dates(leaf, moment, where="certificate.leaf")
     key = require_sound(_public_key(leaf, where="certificate.leaf"), where="certificate.leaf")
-    roles = _roles(leaf, where="certificate.leaf")
+    roles = _roles(extensions, where="certificate.leaf")
     if len(roles) != 1 or not roles <= allowed:
         raise _bad("expected one role that its authority may give", "certificate.leaf")
-    uris = _uris(leaf)
+    uris = _uris(extensions)
     robot, profile = _optional(uris, _ROBOT), _optional(uris, _PROFILE)
     end = min(leaf.not_valid_after_utc, authority.not_valid_after_utc, root.not_valid_after_utc)
     return Leaf(
@@ -190,11 +188,11 @@ def _require_authority(
 ) -> frozenset[Role]:
     where = "certificate.authority"
     _require_issued(authority, root, where=where)
-    _require_profile(authority, ca=True, path_length=0, where=where)
+    extensions = _require_profile(authority, ca=True, path_length=0, where=where)
     _require_dates(root, moment, where="certificate.root")
     _require_dates(authority, moment, where=where)
     require_sound(_public_key(authority, where=where), where=where)
-    return _roles(authority, where=where)
+    return _roles(extensions, where=where)
 
 
 def _require_issued(cert: x509.Certificate, issuer: x509.Certificate, *, where: str) -> None:
@@ -206,26 +204,23 @@ def _require_issued(cert: x509.Certificate, issuer: x509.Certificate, *, where: 
 
 def _require_profile(
     cert: x509.Certificate, *, ca: bool, path_length: int | None, where: str
-) -> None:
+) -> _Extensions:
+    """Return what the extensions say, once they fit the certificate's place in the chain."""
     try:
-        extensions = cert.extensions
-        unknown = [e for e in extensions if e.critical and e.oid not in _KNOWN_CRITICAL]
-        basic = extensions.get_extension_for_class(x509.BasicConstraints).value
-        usage = extensions.get_extension_for_class(x509.KeyUsage).value
-    except (
-        ValueError,
-        x509.ExtensionNotFound,
-        x509.DuplicateExtension,
-        x509.UnsupportedGeneralNameType,
-    ) as error:
+        extensions = {e.oid: e for e in cert.extensions}
+    except (ValueError, x509.DuplicateExtension, x509.UnsupportedGeneralNameType) as error:
         raise _bad("expected basic constraints and key usage", where) from error
-    if unknown:
+    if any(e.critical and oid not in _KNOWN_CRITICAL for oid, e in extensions.items()):
         raise _bad("expected no critical extension that is unknown", where)
-    if basic.ca is not ca or basic.path_length != path_length:
+    basic, usage = extensions.get(_BASIC), extensions.get(_USAGE)
+    if basic is None or usage is None:
+        raise _bad("expected basic constraints and key usage", where)
+    if basic.value.ca is not ca or basic.value.path_length != path_length:
         raise _bad("expected the basic constraints of its place in the chain", where)
-    signs, certifies = usage.digital_signature, usage.key_cert_sign
+    signs, certifies = usage.value.digital_signature, usage.value.key_cert_sign
     if (signs, certifies) != (not ca, ca):
         raise _bad("expected the key usage of its place in the chain", where)
+    return extensions
 
 
 def _public_key(cert: x509.Certificate, *, where: str) -> object:
@@ -247,22 +242,20 @@ def _require_dates(cert: x509.Certificate, moment: datetime, *, where: str) -> N
         )
 
 
-def _roles(cert: x509.Certificate, *, where: str) -> frozenset[Role]:
-    try:
-        usage = cert.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-    except (ValueError, x509.ExtensionNotFound) as error:
-        raise _bad("expected an extended key usage that names roles", where) from error
-    if any(oid not in _ROLE for oid in usage):
+def _roles(extensions: _Extensions, *, where: str) -> frozenset[Role]:
+    usage = extensions.get(_EXTENDED_USAGE)
+    if usage is None:
+        raise _bad("expected an extended key usage that names roles", where)
+    if not _ROLE.keys() >= set(usage.value):
         raise _bad("expected roles of this profile only", where)
-    return frozenset(_ROLE[oid] for oid in usage)
+    return frozenset([_ROLE[oid] for oid in usage.value])
 
 
-def _uris(leaf: x509.Certificate) -> list[str]:
-    try:
-        names = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except (ValueError, x509.ExtensionNotFound) as error:
-        raise _bad("expected an alternative name", "certificate.leaf") from error
-    return list(names.get_values_for_type(x509.UniformResourceIdentifier))
+def _uris(extensions: _Extensions) -> list[str]:
+    names = extensions.get(_ALTERNATIVE_NAME)
+    if names is None:
+        raise _bad("expected an alternative name", "certificate.leaf")
+    return list(names.value.get_values_for_type(x509.UniformResourceIdentifier))
 
 
 def _only(uris: list[str], prefix: str) -> str:

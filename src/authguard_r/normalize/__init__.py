@@ -9,7 +9,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.identifiers import Digest
 from authguard_r.normalize.bind import Binder
-from authguard_r.normalize.dialects import Dialect, read_plan
+from authguard_r.normalize.dialects import Dialect, read_reply
 from authguard_r.normalize.parse import read_text
 
 
@@ -30,10 +30,12 @@ class Plan(Struct, frozen=True, kw_only=True):
 
     Args:
         steps: in order.
+        dialect: the one that the plan was read in; never `auto`.
         evidence: digest of the planner's exact bytes.
     """
 
     steps: tuple[Step, ...]
+    dialect: Dialect
     evidence: Digest
 
 
@@ -45,9 +47,11 @@ def normalize(data: bytes, *, binder: Binder, dialect: Dialect = Dialect.AUTO) -
     Raises:
         MalformedError: with the reason and the place.
     """
-    calls = read_plan(read_text(data), dialect)
-    steps = tuple(Step(action=binder.bind(call), attested=binder.attested(call)) for call in calls)
-    return Plan(steps=steps, evidence=digest(Tag.RAW, data))
+    reading = read_reply(read_text(data), dialect)
+    steps = tuple(
+        Step(action=binder.bind(call), attested=binder.attested(call)) for call in reading.calls
+    )
+    return Plan(steps=steps, dialect=reading.dialect, evidence=digest(Tag.RAW, data))
 
 
 __all__ = ["Binder", "Dialect", "Plan", "Step", "normalize"]

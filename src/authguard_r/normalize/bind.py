@@ -13,16 +13,60 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
+from msgspec import Struct
+
 from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.identifiers import MAX_INTEGER, ParameterId
+from authguard_r.core.identifiers import ParameterId
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.binding import Argument, Binding, ToolBinding, Use
+from authguard_r.normalize.binding import (
+    POSE,
+    REGION,
+    STOPS,
+    Argument,
+    Binding,
+    Constant,
+    ToolBinding,
+    Use,
+    Ways,
+    is_index,
+    same,
+    ways_of,
+)
 from authguard_r.normalize.dialects import Call
-from authguard_r.site.model import Parameter, Rounding, Site
+from authguard_r.normalize.places import Places
+from authguard_r.normalize.quantity import COORDINATE, scale
+from authguard_r.site.model import ActionModel, Site
 
 #: Longest route, in regions.
 MAX_ROUTE = 64
+
+Reader = Callable[[Any, str], Any]
+#: The names at one level of a call: those below each, or the path that ends there.
+Tree = dict[str, Any]
+
+
+class _Form(Struct, frozen=True):
+    """What one level of arguments is held to, worked out once.
+
+    Args:
+        names: the names that may be there.
+        tree: the way to each path; None when every name is a path, as it stands.
+        readers: path, place below the call, what is known of it, what reads it.
+    """
+
+    names: frozenset[str]
+    tree: Tree | None
+    readers: tuple[tuple[str, str, Argument, Reader], ...]
+
+
+class _Way(Struct, frozen=True):
+    """One way of a tool with its form; `places` says that regions follow from other fields."""
+
+    tool: ToolBinding
+    kind: ActionModel
+    form: _Form
+    places: bool
 
 
 class Binder:
@@ -35,16 +79,12 @@ class Binder:
 
     def __init__(self, site: Site, binding: Binding) -> None:
         self._site = site
-        self._binding = binding
+        self._places = Places(site)
         self._regions = _spellings({r: m.names for r, m in site.regions.items()})
         self._objects = _spellings({o: m.names for o, m in site.objects.items()})
-        self._readers = {
-            name: tuple(
-                (key, argument, self._reader(argument, tool))
-                for key, argument in tool.arguments.items()
-                if argument.use is not Use.NOTED
-            )
-            for name, tool in binding.tools.items()
+        self._tools = {
+            name: tuple(self._way(way.tool) for way in ways_of(binding, name))
+            for name in binding.tools
         }
 
     def bind(self, call: Call) -> Action:
@@ -53,33 +93,25 @@ class Binder:
         Raises:
             MalformedError: unknown tool, field or name; missing, refused or invalid value.
         """
-        tool = self._binding.tools.get(call.tool)
-        if tool is None:
-            raise _refusal(
-                Reason.TOOL_UNKNOWN,
-                f"expected a bound tool, got `{ascii(call.tool)[1:-1][:80]}`",
-                call.where,
-            )
-        kind = self._site.vocabulary[tool.type]
-        if kind.state_writing:
+        way = self._choose(call)
+        if way.kind.state_writing:
             raise _refusal(
                 Reason.STATE_WRITING_REFUSED,
-                f"`{call.tool}` changes what the robot believes; no planner may",
+                f"`{call.tool}` writes state or does what no grant can hold; no planner may",
                 call.where,
             )
-        if not call.arguments.keys() <= tool.arguments.keys():
-            unknown = min(call.arguments.keys() - tool.arguments.keys())
-            place = f"{call.where}.{ascii(unknown)[1:-1][:80]}"
-            raise _refusal(Reason.FIELD_UNKNOWN, f"`{call.tool}` has no such field", place)
-        fields = self._collect(call, tool)
+        fields: dict[str, Any] = dict(way.tool.fixed)
+        self._collect(way.form, call.arguments, fields, call.where, call.tool)
+        if way.places:
+            self._settle(fields, call.where)
         params = {
             ParameterId(target.removeprefix("params.")): fields[target]
             for target in sorted(fields)
             if target.startswith("params.")
         }
         return Action(
-            type=tool.type,
-            tool=tool.tool,
+            type=way.tool.type,
+            tool=way.tool.tool,
             object=fields.get("object"),
             source=fields.get("source"),
             destination=fields.get("destination"),
@@ -89,43 +121,105 @@ class Binder:
 
     def attested(self, call: Call) -> tuple[str, ...]:
         """Return the fields of the call's action that attested state must fill."""
-        return self._binding.tools[call.tool].attested
+        return self._choose(call).tool.attested
 
     def spellings(self) -> dict[str, str]:
         """Return every external spelling of regions and objects with the id that it names."""
         return site_spellings(self._site)
 
-    def _collect(self, call: Call, tool: ToolBinding) -> dict[str, Any]:
-        fields: dict[str, Any] = dict(tool.fixed)
-        for name, argument, reader in self._readers[call.tool]:
-            where = f"{call.where}.{name}"
-            if name in call.arguments:
-                fields[argument.to] = reader(call.arguments[name], where)
-            else:
-                self._absent(fields, argument, where)
-        return fields
+    def _choose(self, call: Call) -> _Way:
+        """Return the one way that the call is; ways of a tool exclude each other."""
+        found = self._tools.get(call.tool)
+        if found is None:
+            raise _refusal(
+                Reason.TOOL_UNKNOWN,
+                f"expected a bound tool, got `{ascii(call.tool)[1:-1][:80]}`",
+                call.where,
+            )
+        if len(found) == 1 and not found[0].tool.when:
+            return found[0]
+        for way in found:
+            if all(same(look(call.arguments, p), c) for p, c in way.tool.when.items()):
+                return way
+        path = _stray(call, tuple(way.tool for way in found))
+        raise _refusal(
+            Reason.TOOL_UNKNOWN,
+            f"expected a value of `{path}` for which `{call.tool}` is bound",
+            call.where + _suffix(path),
+        )
+
+    def _way(self, tool: ToolBinding) -> _Way:
+        kind = self._site.vocabulary[tool.type]
+        targets = {argument.to for argument in tool.arguments.values()}
+        form = self._form(tool.arguments, tool.when, kind)
+        return _Way(tool, kind, form, not targets.isdisjoint({STOPS, POSE[0]}))
+
+    def _form(
+        self, arguments: dict[str, Argument], when: dict[str, Constant], kind: ActionModel
+    ) -> _Form:
+        paths = {path: (path, *argument.also) for path, argument in arguments.items()}
+        paths |= {path: (path,) for path in when}
+        flat = all(names == (path,) and "." not in path for path, names in paths.items())
+        return _Form(
+            names=frozenset(paths),
+            tree=None if flat else _tree(paths),
+            readers=tuple(
+                (path, _suffix(path), argument, self._reader(argument, kind))
+                for path, argument in arguments.items()
+                if argument.use is not Use.NOTED
+            ),
+        )
 
     @staticmethod
-    def _absent(fields: dict[str, Any], argument: Argument, where: str) -> None:
-        if argument.use is Use.MAPPED and not argument.optional:
-            raise _refusal(Reason.FIELD_MISSING, "expected a value", where)
-        if argument.default is not None:
-            fields[argument.to] = argument.default
+    def _collect(
+        form: _Form, given: dict[str, Any], fields: dict[str, Any], where: str, tool: str
+    ) -> None:
+        """Read every argument of one level into the fields that it fills."""
+        if form.tree is not None:
+            found: dict[str, Any] = {}
+            _flatten(form.tree, given, found, where, tool)
+            given = found
+        elif not given.keys() <= form.names:
+            unknown = min(given.keys() - form.names)
+            raise _unknown(tool, f"{where}.{ascii(unknown)[1:-1][:80]}")
+        for path, suffix, argument, reader in form.readers:
+            if path in given:
+                fields[argument.to] = reader(given[path], where + suffix)
+            elif argument.default is not None:
+                fields[argument.to] = argument.default
+            elif argument.use is not Use.REFUSED and not argument.optional:
+                raise _refusal(Reason.FIELD_MISSING, "expected a value", where + suffix)
 
-    def _reader(self, argument: Argument, tool: ToolBinding) -> Callable[[Any, str], Any]:
+    def _settle(self, fields: dict[str, Any], where: str) -> None:
+        """Turn positions and stops into the destination and the route that they mean."""
+        if STOPS in fields:
+            *route, fields["destination"] = fields.pop(STOPS)
+            fields["route"] = tuple(route)
+        if POSE[0] in fields:
+            fields["destination"] = self._region(fields, where)
+
+    def _region(self, fields: dict[str, Any], where: str) -> str:
+        x, y, frame = (fields.pop(name, None) for name in POSE)
+        return self._places.region_at((x, y), frame, where=where)
+
+    def _reader(self, argument: Argument, kind: ActionModel) -> Reader:
         """Return what turns a planner's value, at a place, into the argument's target."""
         if argument.use is Use.REFUSED:
             return _refuse
+        if argument.use is Use.FIXED:
+            return _constant(argument.constant())
+        if argument.each:
+            return self._list(argument, kind)
         if argument.to == "object":
             return lambda value, where: _resolve(value, self._objects, "object", where)
-        if argument.to in {"source", "destination"}:
+        if argument.to in {"source", "destination", REGION}:
             return lambda value, where: _resolve(value, self._regions, "region", where)
         if argument.to == "route":
             return self._route
-        name = ParameterId(argument.to.removeprefix("params."))
-        parameter = self._site.vocabulary[tool.type].params[name]
-        per_unit = Fraction(argument.per_unit)
-        return lambda value, where: scale(value, parameter, per_unit=per_unit, where=where)
+        if argument.to == POSE[2]:
+            maps = {name: name for name in self._places.maps}
+            return lambda value, where: _resolve(value, maps, "map", where)
+        return _number(argument, kind)
 
     def _route(self, value: Any, where: str) -> tuple[str, ...]:
         if not isinstance(value, list) or len(value) > MAX_ROUTE:
@@ -134,46 +228,133 @@ class Binder:
             _resolve(item, self._regions, "region", f"{where}[{n}]") for n, item in enumerate(value)
         )
 
+    def _list(self, argument: Argument, kind: ActionModel) -> Reader:
+        """Return what reads a list of places, each with its own fields."""
+        form = self._form(argument.each, {}, kind)
+        least = 1 if argument.to == STOPS else 0
+
+        def read(value: Any, where: str) -> tuple[str, ...]:
+            if not isinstance(value, list) or not least <= len(value) <= MAX_ROUTE:
+                raise _refusal(
+                    Reason.VALUE_INVALID, f"expected a list of {least} to {MAX_ROUTE} places", where
+                )
+            return tuple(one(item, f"{where}[{n}]") for n, item in enumerate(value))
+
+        def one(item: Any, where: str) -> str:
+            if not isinstance(item, dict):
+                raise _refusal(Reason.VALUE_INVALID, "expected an object", where)
+            fields: dict[str, Any] = {}
+            self._collect(form, item, fields, where, "place")
+            return str(fields[REGION]) if REGION in fields else self._region(fields, where)
+
+        return read
+
+
+def look(arguments: Any, path: str) -> Any:
+    """Return what stands on a dotted path of a call's arguments; None when nothing does."""
+    for depth, name in enumerate(path.split(".")):
+        if isinstance(arguments, list) and depth and is_index(name):
+            arguments = arguments[int(name)] if int(name) < len(arguments) else None
+        elif isinstance(arguments, dict):
+            arguments = arguments.get(name)
+        else:
+            return None
+    return arguments
+
+
+def _stray(call: Call, tools: Ways) -> str:
+    """Return the first path whose value fits no way; else the first path of all."""
+    paths = list(dict.fromkeys(path for tool in tools for path in tool.when))
+    for path in paths:
+        value = look(call.arguments, path)
+        if not any(same(value, tool.when[path]) for tool in tools if path in tool.when):
+            return path
+    return paths[0]
+
+
+def _suffix(path: str) -> str:
+    """Return a dotted path as a place below the call: `.poses[0].x`."""
+    first, *rest = path.split(".")
+    return f".{first}" + "".join(f"[{name}]" if is_index(name) else f".{name}" for name in rest)
+
+
+def _tree(paths: dict[str, tuple[str, ...]]) -> Tree:
+    """Return the names of nested arguments as nested tables with each path at its end."""
+    tree: Tree = {}
+    for path, names in paths.items():
+        for name in names:
+            *parents, last = name.split(".")
+            node = tree
+            for parent in parents:
+                node = node.setdefault(parent, {})
+            node[last] = path
+    return tree
+
+
+def _flatten(
+    tree: Tree, given: dict[str, Any], found: dict[str, Any], where: str, tool: str
+) -> None:
+    """Sort nested values by the path that each stands on; whatever is on none refuses the call."""
+    for name, value in given.items():
+        _enter(tree.get(name), value, found, f"{where}.{ascii(name)[1:-1][:80]}", tool)
+
+
+def _enter(below: Any, value: Any, found: dict[str, Any], where: str, tool: str) -> None:
+    if below is None:
+        raise _unknown(tool, where)
+    if isinstance(below, str):
+        if below in found:
+            raise _refusal(Reason.VALUE_INVALID, "expected the value once", where)
+        found[below] = value
+    elif "0" in below:
+        if not isinstance(value, list):
+            raise _refusal(Reason.VALUE_INVALID, "expected a list", where)
+        for number, item in enumerate(value):
+            _enter(below.get(str(number)), item, found, f"{where}[{number}]", tool)
+    elif isinstance(value, dict):
+        _flatten(below, value, found, where, tool)
+    else:
+        raise _refusal(Reason.VALUE_INVALID, "expected an object", where)
+
 
 def _refuse(value: Any, where: str) -> Any:  # noqa: ARG001 - whatever it is
     raise _refusal(Reason.FIELD_REFUSED, "expected the field to be left out", where)
 
 
-def scale(value: Any, parameter: Parameter, *, per_unit: Fraction, where: str) -> int:
-    """Return a planner's number as an integer in the parameter's unit, rounded against it.
+def _constant(constant: Any) -> Reader:
+    """Return what lets one value pass and fills nothing."""
 
-    Args:
-        value: an `int` or exact `Decimal`; truth values, text and everything else are refused.
-        parameter: the target.
-        per_unit: the target's units in one of the planner's.
-        where: the place, for messages.
+    def read(value: Any, where: str) -> None:
+        if not same(value, constant):
+            raise _refusal(Reason.FIELD_REFUSED, f"expected `{constant}` or nothing", where)
 
-    Raises:
-        MalformedError: not a number, a remainder in a count, or outside the type's range.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | Decimal):
-        raise _refusal(Reason.VALUE_INVALID, "expected a number", where)
-    top, bottom = value.as_integer_ratio()
-    top, bottom = top * per_unit.numerator, bottom * per_unit.denominator
-    whole, left = divmod(top, bottom)
-    if left:
-        whole = _rounded(Fraction(top, bottom), parameter.rounding, where)
-    if not parameter.low <= whole <= parameter.high or abs(whole) > MAX_INTEGER:
-        raise _refusal(
-            Reason.VALUE_OUT_OF_RANGE,
-            f"expected {parameter.low} to {parameter.high} {parameter.unit}, got {whole}",
-            where,
-        )
-    return whole
+    return read
 
 
-def _rounded(exact: Fraction, rounding: Rounding, where: str) -> int:
-    if rounding is Rounding.COUNT:
-        raise _refusal(Reason.VALUE_INVALID, "expected a whole number", where)
-    if rounding is Rounding.POSITION:
-        return round(exact)
-    toward_zero = abs(exact.numerator) // exact.denominator
-    return (toward_zero + 1) * (1 if exact > 0 else -1)
+def _number(argument: Argument, kind: ActionModel) -> Reader:
+    """Return what reads a parameter or a coordinate."""
+    name = ParameterId(argument.to.removeprefix("params."))
+    parameter = COORDINATE if argument.to in POSE else kind.params[name]
+    per_unit, offset = Fraction(argument.per_unit), argument.offset
+
+    def word(value: Any, where: str) -> int:
+        if not isinstance(value, str) or value not in argument.values:
+            expected = ", ".join(argument.values)
+            raise _refusal(Reason.VALUE_INVALID, f"expected one of: {expected}", where)
+        return argument.values[value]
+
+    def whole(value: Any, where: str) -> int:
+        if isinstance(value, Decimal):
+            raise _refusal(Reason.VALUE_INVALID, "expected a whole number", where)
+        return scale(value, parameter, per_unit=per_unit, where=where, offset=offset)
+
+    if argument.values:
+        return word
+    if argument.whole:
+        return whole
+    return lambda value, where: scale(
+        value, parameter, per_unit=per_unit, where=where, offset=offset
+    )
 
 
 def site_spellings(site: Site) -> dict[str, str]:
@@ -195,6 +376,10 @@ def _resolve(value: Any, spellings: dict[str, str], kind: str, where: str) -> st
         shown = ascii(value)[1:-1]
         raise _refusal(Reason.NAME_UNKNOWN, f"no {kind} is called `{shown[:80]}`", where)
     return found
+
+
+def _unknown(tool: str, where: str) -> MalformedError:
+    return _refusal(Reason.FIELD_UNKNOWN, f"`{tool}` has no such field", where)
 
 
 def _refusal(reason: Reason, message: str, where: str) -> MalformedError:

@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bindings: what each field of each planner tool means, and what becomes of it.
 
-Every argument is `mapped`, `refused` or `noted` (recorded, not forwarded); what the tool does not
-carry is `fixed` here or `attested` by state. Nothing is guessed: an argument that the binding does
-not name refuses the whole plan. Spec page: docs/spec/binding.md
+Every argument is `mapped`, `fixed`, `refused` or `noted` (recorded, not forwarded); what the tool
+does not carry is `fixed` or `monitored` here or `attested` by state. Nothing is guessed: an
+argument that the binding does not name refuses the whole plan. Spec page: docs/spec/binding.md
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
-from typing import Any, Literal
+from itertools import pairwise
+from typing import Annotated, Any, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
@@ -31,12 +33,25 @@ from authguard_r.site.model import ActionModel, Site
 
 #: A positive number of at most 20 characters: `1000`, `0.5` or `1/3`.
 _FACTOR = re.compile(r"(?=.{1,20}\Z)[0-9]+(?:\.[0-9]+|/[0-9]+)?")
+#: A number of at most 20 characters with one spelling: `0.1`, `-2.5`.
+_DECIMAL = re.compile(r"(?=.{1,20}\Z)-?(?:0|[1-9][0-9]*)\.[0-9]*[1-9]")
+
+#: What a planner's tool holds constant: a word, a whole number, a truth value.
+Constant = bool | Integer | str
+
+#: Targets that together name the region in which a position lies.
+POSE = ("pose.x", "pose.y", "pose.map")
+#: The target of a list of places: the last is the destination, those before it the route.
+STOPS = "stops"
+#: The target of a place's name within `each`.
+REGION = "region"
 
 
 class Use(StrEnum):
     """What becomes of an argument."""
 
     MAPPED = "mapped"
+    FIXED = "fixed"
     REFUSED = "refused"
     NOTED = "noted"
 
@@ -46,32 +61,56 @@ class Argument(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
 
     Args:
         use: what becomes of it.
-        to: the action field it fills: `object`, `destination`, `source`, `route` or
-            `params.NAME`.
+        to: the action field it fills: `object`, `destination`, `source`, `route`, `stops`,
+            `pose.x`, `pose.y`, `pose.map` or `params.NAME`; within `each`: `region` or a pose.
         per_unit: how many of the parameter's units one of the argument's is (1000 for meters
             per second into millimeters per second), as an exact decimal or fraction `N/M`.
+        offset: what is added after that, in the parameter's unit (273150 for Celsius into mK).
+        whole: the tool takes whole numbers only.
         optional: the planner may leave it out; then `default` is carried, or nothing.
         default: the value carried when it is left out, in the parameter's unit.
+        value: of a fixed argument, the one value it may have; of a noted one, what the tool is
+            given in its place.
+        decimal: the same for a number that is not whole, as an exact decimal (`0.1`).
+        values: the parameter's number for each word that the argument may be.
+        also: other names under which the planner may give it (`1` for the first position).
+        each: of a list of places: the fields of one.
     """
 
     use: Use
     to: str = ""
     per_unit: str = "1"
+    offset: Integer = 0
+    whole: bool = False
     optional: bool = False
     default: Integer | None = None
+    value: Constant | None = None
+    decimal: str = ""
+    values: dict[str, Integer] = {}
+    also: tuple[str, ...] = ()
+    each: dict[str, Argument] = {}
+
+    def constant(self) -> Constant | Decimal | None:
+        """Return what the tool is given whatever the planner says; None when that is nothing."""
+        return Decimal(self.decimal) if self.decimal else self.value
 
 
 class ToolBinding(
     Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
 ):
-    """One tool of a planner.
+    """One tool of a planner, or one way of using it.
 
     Args:
         type: the canonical action type that it means.
         tool: the canonical tool that carries it out.
-        arguments: by external name; what is not here is refused.
+        arguments: by external name, or by dotted path to a nested one (`goal.pose.position.x`,
+            `doors.0`); what is not here is refused.
         fixed: action fields and parameters that the controller's configuration settles.
+        monitored: those fixed parameters that the lease holds on attested state.
         attested: fields that attested state fills when the plan's turn comes.
+        when: arguments whose constants tell this way from the others of the same tool.
+        message: the ROS type whose fields stand under `body` (`nav2_msgs/action/Wait`).
+        body: the path under which they stand; empty: at the top.
         noted: why the tool is bound as it is; for people.
     """
 
@@ -79,22 +118,64 @@ class ToolBinding(
     tool: ToolId
     arguments: dict[str, Argument] = {}
     fixed: dict[str, Integer | Identifier] = {}
+    monitored: tuple[str, ...] = ()
     attested: tuple[Literal["source"], ...] = ()
+    when: dict[str, Constant] = {}
+    message: str = ""
+    body: str = ""
     noted: str = ""
 
 
+Ways = Annotated[tuple[ToolBinding, ...], Meta(min_length=1)]
+
+
 class Binding(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
-    """All tools of one planner interface at one site."""
+    """All tools of one planner interface.
+
+    Args:
+        schema: the version of this language.
+        id: what people call it.
+        site: the one site that it is made for; absent: any whose vocabulary has the types.
+        tools: by external name; a list of several ways is told apart by their `when`.
+    """
 
     schema: Literal["authguard-r/binding/1"]
     id: Identifier
-    site: Identifier
-    tools: dict[str, ToolBinding]
+    site: Identifier | None = None
+    tools: dict[str, ToolBinding | Ways]
+
+
+class Way(Struct, frozen=True):
+    """One way of one tool: the tool's external name, the place in the binding, what it says."""
+
+    name: str
+    place: str
+    tool: ToolBinding
+
+
+def ways(binding: Binding) -> tuple[Way, ...]:
+    """Return every way of every tool, in the order in which the binding names them."""
+    return tuple(way for name in binding.tools for way in ways_of(binding, name))
+
+
+def ways_of(binding: Binding, name: str) -> tuple[Way, ...]:
+    """Return the ways of one tool."""
+    found = binding.tools[name]
+    if isinstance(found, ToolBinding):
+        return (Way(name, f"tools.{name}", found),)
+    return tuple(Way(name, f"tools.{name}[{n}]", tool) for n, tool in enumerate(found))
 
 
 def binding_digest(binding: Binding) -> Digest:
     """Return the digest under which the log names the binding."""
     return digest_of(Tag.BINDING, binding)
+
+
+def same(value: Any, constant: Constant | Decimal | None) -> bool:
+    """True when a planner's value is exactly the constant: a truth value is never a number."""
+    if isinstance(value, bool) or isinstance(constant, bool | str):
+        return type(value) is type(constant) and bool(value == constant)
+    return bool(value == constant)
 
 
 def require_sound(binding: Binding, site: Site) -> None:
@@ -103,46 +184,158 @@ def require_sound(binding: Binding, site: Site) -> None:
     Raises:
         MalformedError: with the place of the first fault.
     """
-    if binding.site != site.id:
-        raise MalformedError(f"expected a binding for `{site.id}`", where="site")
-    for name, tool in binding.tools.items():
-        if not all(word.isascii() for word in (name, *tool.arguments)):
-            raise MalformedError("expected names in ASCII", where=f"tools.{name!a}")
-        for place, fault in _faults(tool, site):
-            where = f"tools.{name}.{place}"
-            raise MalformedError(fault, where=where, reason=Reason.SCHEMA_INVALID)
+    for where, message in binding_faults(binding, site):
+        raise MalformedError(message, where=where, reason=Reason.SCHEMA_INVALID)
+
+
+def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
+    """Yield the place and the message of every fault; nothing when the binding is sound."""
+    if binding.site not in {None, site.id}:
+        yield "site", f"expected a binding for `{site.id}`"
+    for name in binding.tools:
+        found = ways_of(binding, name)
+        for number, way in enumerate(found):
+            if not all(word.isascii() for word in (name, *_words(way.tool.arguments))):
+                yield f"tools.{name!a}", "expected names in ASCII"
+                continue
+            for place, fault in _faults(way.tool, site):
+                yield f"{way.place}.{place}", fault
+            for other in found[:number]:
+                if not _apart(way.tool, other.tool):
+                    yield f"{way.place}.when", f"expected a constant that `{other.place}` has not"
+
+
+def _words(arguments: dict[str, Argument]) -> Iterator[str]:
+    for name, argument in arguments.items():
+        yield from (name, *argument.also, *_words(argument.each))
+
+
+def _apart(one: ToolBinding, two: ToolBinding) -> bool:
+    """True when no call can be both: they hold one argument to different constants."""
+    return any(
+        not same(constant, two.when[path])
+        for path, constant in one.when.items()
+        if path in two.when
+    )
 
 
 def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     kind = site.vocabulary.get(tool.type)
     if kind is None:
         yield "type", f"expected an action type of the site, got `{tool.type}`"
-    else:
-        yield from _kind_faults(tool, kind, site)
-
-
-def _kind_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterator[tuple[str, str]]:
-    wanted = {*kind.fields, *(f"params.{name}" for name in kind.params)}
-    origins: list[str] = [*tool.fixed, *tool.attested]
-    yield from _settled_faults(tool, kind, site)
+        return
+    also = [name for argument in tool.arguments.values() for name in argument.also]
+    yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments")
     for name, argument in tool.arguments.items():
-        if (argument.use is Use.MAPPED) != bool(argument.to):
-            yield f"arguments.{name}.to", "expected a target exactly when it is mapped"
-        if not _is_factor(argument.per_unit):
-            yield (
-                f"arguments.{name}.per_unit",
-                "expected a positive number, such as `1000` or `1/3`",
-            )
-        if argument.use is Use.MAPPED:
-            origins.append(argument.to)
-    for target in origins:
+        for place, fault in _argument_faults(argument):
+            yield f"arguments.{name}.{place}", fault
+    yield from _settled_faults(tool, kind, site)
+    yield from _origin_faults(tool, kind)
+
+
+def _path_faults(paths: list[str], where: str) -> Iterator[tuple[str, str]]:
+    """Each value of a call stands on exactly one path; a list's items are counted from 0."""
+    split = sorted(tuple(path.split(".")) for path in paths)
+    for path in split:
+        if not all(path):
+            yield f"{where}.{'.'.join(path)}", "expected names between the dots"
+    for one, two in pairwise(split):
+        if two[: len(one)] == one:
+            yield f"{where}.{'.'.join(two)}", f"expected no path within `{'.'.join(one)}`"
+    children: dict[tuple[str, ...], set[str]] = {}
+    for path in split:
+        for depth in range(1, len(path)):
+            children.setdefault(path[:depth], set()).add(path[depth])
+    for parent, keys in children.items():
+        if any(map(is_index, keys)) and keys != {str(n) for n in range(len(keys))}:
+            yield f"{where}.{'.'.join(parent)}", "expected the items 0, 1, ... of a list"
+
+
+def is_index(name: str) -> bool:
+    """True when a name within a path counts the item of a list."""
+    return name.isascii() and name.isdecimal()
+
+
+def _argument_faults(argument: Argument) -> Iterator[tuple[str, str]]:
+    mapped = argument.use is Use.MAPPED
+    if mapped != bool(argument.to):
+        yield "to", "expected a target exactly when it is mapped"
+    if not _is_factor(argument.per_unit):
+        yield "per_unit", "expected a positive number, such as `1000` or `1/3`"
+    if argument.decimal and _DECIMAL.fullmatch(argument.decimal) is None:
+        yield "decimal", "expected a number that is not whole, such as `0.1`"
+        return
+    settled = argument.constant() is not None
+    if settled != (argument.use is Use.FIXED) and not (settled and argument.use is Use.NOTED):
+        yield "value", "expected a value of a fixed or noted argument only, and of every fixed one"
+    if argument.decimal and argument.value is not None:
+        yield "decimal", "expected a `value` or a `decimal`"
+    if argument.values and not argument.to.startswith("params."):
+        yield "values", "expected words for a parameter"
+    yield from _place_faults(argument)
+
+
+def _place_faults(argument: Argument) -> Iterator[tuple[str, str]]:
+    if argument.optional and argument.to in {*POSE, STOPS, REGION}:
+        yield "optional", "expected a place that the planner must name"
+    if argument.each:
+        if argument.to not in {STOPS, "route"}:
+            yield "each", "expected a list of places: `stops` or `route`"
+        yield from _each_faults(argument.each)
+    elif argument.to == STOPS:
+        yield "each", "expected the fields of one place"
+
+
+def _each_faults(each: dict[str, Argument]) -> Iterator[tuple[str, str]]:
+    yield from _path_faults(list(each), "each")
+    targets = [argument.to for argument in each.values() if argument.to]
+    if sorted(targets) not in ([REGION], sorted(POSE), sorted(POSE[:2])):
+        yield "each", "expected one `region`, or `pose.x` and `pose.y`"
+    for name, argument in each.items():
+        if argument.each or argument.also:
+            yield f"each.{name}", "expected neither `each` nor `also` within `each`"
+        for place, fault in _argument_faults(argument):
+            yield f"each.{name}.{place}", fault
+
+
+def origins(tool: ToolBinding, *, always: bool = False) -> Iterator[str]:
+    """Yield the field that each part of the tool fills; twice when two parts do.
+
+    Args:
+        tool: one way of a tool.
+        always: only what is there in every action.
+    """
+    mapped = [
+        argument.to
+        for argument in tool.arguments.values()
+        if argument.use is Use.MAPPED
+        and not (always and argument.optional and argument.default is None)
+    ]
+    for target in (*tool.fixed, *tool.attested, *mapped):
+        if target == STOPS:
+            yield "destination"
+            yield from () if always else ("route",)
+        elif target == POSE[0]:
+            yield "destination"
+        elif target not in POSE:
+            yield target
+
+
+def _origin_faults(tool: ToolBinding, kind: ActionModel) -> Iterator[tuple[str, str]]:
+    wanted = {*kind.fields, *(f"params.{name}" for name in kind.params)}
+    found = list(origins(tool))
+    for target in found:
         if target not in wanted:
             yield target, f"expected a field of `{tool.type}`: {', '.join(sorted(wanted))}"
-        if origins.count(target) > 1:
+        if found.count(target) > 1:
             yield target, "expected one origin"
+    poses = [a.to for a in tool.arguments.values() if a.to in POSE]
+    poses += [target for target in tool.fixed if target in POSE]
+    if poses and sorted(poses) not in (sorted(POSE), sorted(POSE[:2])):
+        yield "pose", "expected `pose.x` and `pose.y`, and at most one `pose.map`"
     required = {f"params.{n}" for n, p in kind.params.items() if p.required}
     required |= {field for field in kind.fields if field != "route"}
-    missing = sorted(required.difference(origins))
+    missing = sorted(required.difference(found))
     if missing and not kind.state_writing:
         yield "arguments", f"expected an origin for `{missing[0]}`"
 
@@ -150,14 +343,18 @@ def _kind_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterator[t
 def _settled_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterator[tuple[str, str]]:
     """Values that nobody proposes must be such as the field or parameter can have."""
     settled = [(f"fixed.{target}", target, value) for target, value in tool.fixed.items()]
-    settled += [
-        (f"arguments.{name}.default", argument.to, argument.default)
-        for name, argument in tool.arguments.items()
-        if argument.default is not None
-    ]
+    for name, argument in tool.arguments.items():
+        place = f"arguments.{name}"
+        if argument.default is not None:
+            settled.append((f"{place}.default", argument.to, argument.default))
+        settled += [(f"{place}.values.{w}", argument.to, v) for w, v in argument.values.items()]
     for place, target, value in settled:
         if not _is_value(value, target, kind, site):
             yield place, f"expected a value that `{target}` can have"
+    for target in tool.monitored:
+        parameter = kind.params.get(ParameterId(target.removeprefix("params.")))
+        if target not in tool.fixed or parameter is None or parameter.monitored_by is None:
+            yield f"monitored.{target}", "expected a fixed parameter that attested state shows"
 
 
 def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> bool:
@@ -169,10 +366,13 @@ def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> b
             and isinstance(value, int)
             and parameter.low <= value <= parameter.high
         )
-    if target == "route":
-        return False  # a list; nobody settles a way
-    known = site.objects if target == "object" else site.regions
-    return value in known
+    known: dict[str, Iterable[str]] = {
+        "object": site.objects,
+        "source": site.regions,
+        "destination": site.regions,
+        "pose.map": {region.map for region in site.regions.values()},
+    }
+    return value in frozenset(known.get(target, ()))  # nobody settles a way or a position
 
 
 def _is_factor(text: str) -> bool:

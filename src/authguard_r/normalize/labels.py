@@ -7,8 +7,9 @@ Source: section "Provenance Labels". Spec page: docs/spec/provenance.md
 from __future__ import annotations
 
 from authguard_r.core.action import Action
-from authguard_r.core.checks.provenance import CHOSEN, open_rows
-from authguard_r.core.provenance import PRIVILEGED, Label
+from authguard_r.core.checks.provenance import CHOSEN, open_rows, selectable_rows
+from authguard_r.core.mission import Grant
+from authguard_r.core.provenance import PRIVILEGED, TRUST, Chooser, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
 
@@ -30,18 +31,42 @@ def label_fields(
         if value is None or value == ():
             continue
         labels[field] = base
-        if verified is not None and field in CHOSEN and _fixed(field, action, verified, standing):
-            labels[field] = Label.OPERATOR
+        if verified is not None and field in CHOSEN:
+            labels[field] = _chosen_by(field, action, verified, standing) or base
     return labels
 
 
-def _fixed(
+def _chosen_by(
     field: str, action: Action, verified: VerifiedMission, standing: Standing | None
-) -> bool:
-    """True when the mission leaves exactly this value for the field of this action type."""
-    places, value = verified.by_type.get(action.type, ()), getattr(action, field)
-    for place in places:
-        for row in open_rows(verified.grants[place].grant, standing, action.source):
-            if getattr(row, field) != value:
-                return False
-    return bool(places)
+) -> Label | None:
+    """Return who made the field this value in the grants that have it; None when nobody did.
+
+    A planner may choose among grants, that is how it does its task; it may not choose within one.
+    """
+    value = getattr(action, field)
+    grants = [verified.grants[place].grant for place in verified.by_type.get(action.type, ())]
+    settled = [
+        _settled_by(field, action, grant, standing)
+        for grant in grants
+        if any(getattr(row, field) == value for row in selectable_rows(grant, standing))
+    ]
+    found = [label for label in settled if label is not None]
+    if len(found) < len(settled):
+        return None
+    return max(found, key=TRUST.index, default=None)
+
+
+def _settled_by(
+    field: str, action: Action, grant: Grant, standing: Standing | None
+) -> Label | None:
+    """Return whose word leaves exactly this value: the signer's, the chooser's, the sensor's."""
+    chooser = Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR
+    left = (
+        (Label.OPERATOR, grant.alternatives),
+        (chooser, selectable_rows(grant, standing)),
+        (Label.TRUSTED_SENSOR, open_rows(grant, standing, action.source)),
+    )
+    value = getattr(action, field)
+    return next(
+        (label for label, rows in left if all(getattr(row, field) == value for row in rows)), None
+    )

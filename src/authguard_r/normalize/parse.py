@@ -23,7 +23,8 @@ MAX_CALLS = 256
 #: Longest number, in characters: more digits than any quantity has.
 MAX_NUMBER = 40
 
-_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
+#: A number as JSON spells it.
+NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _SPACE = re.compile(r"[ \t\r\n]*")
 _STRING_OR_BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[\]{}]', re.DOTALL)
@@ -62,7 +63,7 @@ def read_json(text: str, *, where: str) -> Any:
     except (ValueError, RecursionError) as error:
         raise MalformedError(str(error), where=where) from error
     if "\\u" in text:  # only an escape can spell what UTF-8 cannot
-        _require_text(value, where)
+        require_text(value, where)
     return value
 
 
@@ -119,7 +120,7 @@ def _literal(text: str, at: int) -> tuple[Any, int]:
         if end < 0 or "\\" in body or "\n" in body:
             raise MalformedError("expected a quoted string without escapes", where=f"input[{at}]")
         return body, end + 1
-    number = _NUMBER.match(text, at)
+    number = NUMBER.match(text, at)
     if number is not None:
         try:
             return read_number(number.group()), number.end()
@@ -138,6 +139,30 @@ def read_number(text: str) -> int | Decimal:
         ValueError: longer than any quantity, or no number.
     """
     return _integer(text) if text.lstrip("-").isdigit() else _decimal(text)
+
+
+def require_text(value: Any, where: str) -> None:
+    """Refuse lone surrogates, which escapes can smuggle in.
+
+    Args:
+        value: plain data; text in it is looked at, keys included.
+        where: its place, for messages.
+
+    Raises:
+        MalformedError: with the place of the text that holds half a character.
+    """
+    if isinstance(value, str):
+        try:
+            value.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise MalformedError("expected well-formed text", where=where) from error
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            require_text(key, where)
+            require_text(item, f"{where}.{key}")
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            require_text(item, f"{where}[{number}]")
 
 
 def _skip(text: str, at: int) -> int:
@@ -189,22 +214,6 @@ def _require_depth(text: str, where: str) -> None:
         if depth > MAX_DEPTH:
             place = f"{where}[{token.start()}]"
             raise MalformedError(f"expected at most {MAX_DEPTH} levels", where=place)
-
-
-def _require_text(value: Any, where: str) -> None:
-    """Refuse lone surrogates, which JSON escapes can smuggle in."""
-    if isinstance(value, str):
-        try:
-            value.encode("utf-8")
-        except UnicodeEncodeError as error:
-            raise MalformedError("expected well-formed text", where=where) from error
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            _require_text(key, where)
-            _require_text(item, f"{where}.{key}")
-    elif isinstance(value, list):
-        for number, item in enumerate(value):
-            _require_text(item, f"{where}[{number}]")
 
 
 _STRICT = json.JSONDecoder(

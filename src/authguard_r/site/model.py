@@ -21,7 +21,7 @@ from authguard_r.core.facts import (
     RobotFacts,
     SiteFacts,
 )
-from authguard_r.core.geometry import polygon
+from authguard_r.core.geometry import polygon, stopping_margin
 from authguard_r.core.identifiers import (
     ActionType,
     Count,
@@ -30,6 +30,8 @@ from authguard_r.core.identifiers import (
     Integer,
     ObjectId,
     ParameterId,
+    Positive,
+    PrincipalId,
     RegionId,
     RobotId,
     ToolId,
@@ -60,8 +62,11 @@ class Region(_Model, frozen=True, kw_only=True):
         floor: the floor.
         points: corners in millimeters, in order, not closed.
         approach: where a robot halts when it is sent here; inside, away from the edge.
-        tags: such as `public`, `restricted`, `private`, `hazardous`.
+        tags: `public`, `restricted`, `private`, `hazardous`, or the site's own words.
         names: every external spelling.
+        within: the region that this one is part of; inside its edges, on the same map and floor.
+            A grant of the parent is none of this one: a pose here lies in both, and both must be
+            allowed.
     """
 
     map: Identifier
@@ -70,13 +75,14 @@ class Region(_Model, frozen=True, kw_only=True):
     approach: Point
     tags: tuple[Identifier, ...]
     names: tuple[str, ...] = ()
+    within: RegionId | None = None
 
 
 class Door(_Model, frozen=True, kw_only=True):
-    """A passage between two regions, at a point that lies on the edge of both.
+    """A passage between two regions, at a point that both have and that is on an edge.
 
     Args:
-        between: the two regions.
+        between: the two regions, of one map; on two floors it is a lift or a stair.
         at: millimeters.
         variable: attested truth value that says whether it is open; absent: it always is.
     """
@@ -137,12 +143,20 @@ class Profile(_Model, frozen=True, kw_only=True):
         max_speed_mm_s: top speed.
         max_force_mn: top gripping force, millinewton.
         max_payload_g: heaviest load.
+        max_accel_mm_s2: hardest acceleration.
+        brake_mm_s2: deceleration that braking reaches at least, loaded.
+        reaction_ms: longest time from the order to stop until the brakes act.
+        controllers: for each controller, the SHA-256 of its configuration as it must be.
     """
 
     tools: dict[ActionType, tuple[ToolId, ...]]
     max_speed_mm_s: Count
     max_force_mn: Count
     max_payload_g: Count
+    max_accel_mm_s2: Positive | None = None
+    brake_mm_s2: Positive | None = None
+    reaction_ms: Count | None = None
+    controllers: dict[Identifier, Digest] = {}
 
 
 class Robot(_Model, frozen=True, kw_only=True):
@@ -152,8 +166,56 @@ class Robot(_Model, frozen=True, kw_only=True):
     home: RegionId
 
 
+class PersonRole(StrEnum):
+    """What a person of the site may be; a certificate decides what somebody may sign."""
+
+    OPERATOR = "operator"
+    SAFETY_OFFICER = "safety_officer"
+    SITE_AUTHORITY = "site_authority"
+    SUPERVISOR = "supervisor"
+
+
+class Person(_Model, frozen=True, kw_only=True):
+    """One person by the id of their certificate.
+
+    Args:
+        roles: sorted set; for people who read the site. No check reads it: a signature counts by
+            the role in its certificate alone.
+        names: what they are called.
+    """
+
+    roles: tuple[PersonRole, ...]
+    names: tuple[str, ...] = ()
+
+
+class Emergency(_Model, frozen=True, kw_only=True):
+    """Where a robot may be sent in an emergency.
+
+    Args:
+        places: for each such region, what it is for (`charging`, `assembly`). It grants nothing;
+            a signed emergency policy may name these regions only.
+    """
+
+    places: dict[RegionId, Identifier]
+
+
 class Site(_Model, frozen=True, kw_only=True):
-    """Everything a mission may speak of."""
+    """Everything a mission may speak of.
+
+    Args:
+        schema: the language of this file.
+        id: the site.
+        version: counts up with each signed change.
+        regions: where a robot can be allowed to be.
+        objects: what it can be allowed to handle.
+        robots: who can be sent.
+        vocabulary: what an action can be.
+        doors: how regions are connected.
+        people: who is who; grants nothing.
+        emergency: where a robot may be sent in an emergency.
+        baseline: sorted set of types that only read names, types and versions; the site authority
+            signs that they are harmless. They have no field, no parameter and no flag.
+    """
 
     schema: Literal["authguard-r/site/1"]
     id: Identifier
@@ -163,6 +225,9 @@ class Site(_Model, frozen=True, kw_only=True):
     robots: dict[RobotId, Robot]
     vocabulary: dict[ActionType, ActionModel]
     doors: tuple[Door, ...] = ()
+    people: dict[PrincipalId, Person] = {}
+    emergency: Emergency | None = None
+    baseline: tuple[ActionType, ...] = ()
 
 
 def site_digest(site: Site) -> Digest:
@@ -173,6 +238,24 @@ def site_digest(site: Site) -> Digest:
 def profile_digest(profile: Profile) -> Digest:
     """Return the digest that a mission and a gate's certificate bind as `profile`."""
     return digest_of(Tag.PROFILE, profile)
+
+
+def stopping_mm(profile: Profile, speed_mm_s: int) -> int | None:
+    """Return how far the robot goes after the order to stop, rounded up.
+
+    Args:
+        profile: the robot's.
+        speed_mm_s: how fast it is going.
+
+    Returns:
+        Millimeters: the way until the brakes act and the way they take; None when the profile
+        does not say how it brakes.
+    """
+    if profile.brake_mm_s2 is None or profile.reaction_ms is None:
+        return None
+    return stopping_margin(
+        0, speed_mm_s, reaction_ms=profile.reaction_ms, brake_mm_s2=profile.brake_mm_s2
+    )
 
 
 def facts_of(site: Site, *, rid: RobotId, profile: Digest) -> SiteFacts:
@@ -201,12 +284,26 @@ def facts_of(site: Site, *, rid: RobotId, profile: Digest) -> SiteFacts:
             tools={kind: frozenset(tools) for kind, tools in robot.profile.tools.items()},
         ),
         regions={
-            region: RegionFacts(polygon(m.map, m.floor, m.points), frozenset(m.tags))
+            region: RegionFacts(
+                area=polygon(m.map, m.floor, m.points),
+                tags=frozenset(m.tags),
+                around=frozenset(ancestors(site, region)),
+            )
             for region, m in site.regions.items()
         },
         objects={item: model.kind for item, model in site.objects.items()},
         vocabulary={kind: _kind(model) for kind, model in site.vocabulary.items()},
     )
+
+
+def ancestors(site: Site, region: RegionId) -> tuple[RegionId, ...]:
+    """Return the regions that this one is within, nearest first; stops where a cycle closes."""
+    found: list[RegionId] = []
+    model = site.regions.get(region)
+    while model is not None and model.within is not None and model.within not in found:
+        found.append(model.within)
+        model = site.regions.get(model.within)
+    return tuple(found)
 
 
 def _kind(model: ActionModel) -> ActionKind:

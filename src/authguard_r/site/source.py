@@ -1,112 +1,87 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading what people write: YAML, held to a struct, every fault with its place.
+"""Reading a site model: strict YAML, the words it takes over, every fault with its place.
 
-Safe loading only: no tags, no aliases, no duplicate keys, no floats where integers belong.
 How-to: docs/howto/site.md
 """
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import Any, TypeVar
 
-import msgspec
-import yaml
+from msgspec import Struct
 
-from authguard_r.core.encoding import MAX_BYTES
-from authguard_r.core.errors import EnvironmentFault, MalformedError
-from authguard_r.core.reasons import Reason
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import is_identifier
 from authguard_r.site.check import faults
-from authguard_r.site.model import Site
+from authguard_r.site.model import ActionModel, ObjectModel, Person, Region, Robot, Site
+from authguard_r.site.names import shown
+from authguard_r.site.strict import as_text, convert, read_text, read_yaml
+from authguard_r.site.words import with_words
 
-T = TypeVar("T")
+__all__ = [
+    "as_text",
+    "convert",
+    "parse_site",
+    "read_site",
+    "read_text",
+    "read_yaml",
+    "require_sound",
+]
 
-
-class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader that refuses duplicate keys, aliases, and words that only look like values."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.YAMLError(f"aliases are not allowed{event.start_mark}")
-        tagged = self.peek_event()  # type: ignore[no-untyped-call]
-        if getattr(tagged, "tag", None) is not None:
-            raise yaml.YAMLError(f"tags are not allowed{tagged.start_mark}")
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = True) -> dict[Any, Any]:  # noqa: FBT001, FBT002
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        seen: set[Any] = set()
-        for key in keys:
-            if not isinstance(key, str | int) or key in seen:
-                raise yaml.YAMLError(f"duplicate key `{key}`{node.start_mark}")
-            seen.add(key)
-        return super().construct_mapping(node, deep=deep)
-
-
-# `on`, `no` and dates are words of the site, not truth values and instants.
-_StrictLoader.yaml_implicit_resolvers = {
-    first: [(tag, rule) for tag, rule in rules if not tag.endswith((":timestamp", ":bool", ":int"))]
-    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:int", re.compile(r"^(?:0|-?[1-9][0-9]*)$"), list("-0123456789")
-)
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|false)$"), list("tf")
+#: The parts of a site that hold things by id, with what each thing is.
+_GROUPS: tuple[tuple[str, type[Struct]], ...] = (
+    ("regions", Region),
+    ("objects", ObjectModel),
+    ("robots", Robot),
+    ("vocabulary", ActionModel),
+    ("people", Person),
 )
 
 
-def read_text(path: Path) -> str:
-    """Return a file's text.
+def parse_site(text: str, *, where: str) -> Site:
+    """Return the site model in a YAML text, sound or not.
+
+    Args:
+        text: what an author wrote; trusted only once the site authority has signed it.
+        where: the file's name, for places in messages.
 
     Raises:
-        EnvironmentFault: it cannot be read.
-        MalformedError: it is too long or not UTF-8.
+        MalformedError: not a site model, or `words` that the standard vocabulary does not have.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise EnvironmentFault(
-            f"cannot read `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
-            where=str(path),
-        ) from error
-    if len(data) > MAX_BYTES:
-        raise MalformedError(f"expected at most {MAX_BYTES} bytes", where=str(path))
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise MalformedError("expected UTF-8", where=str(path)) from error
+    data = with_words(read_yaml(text, where=where), where=where)
+    for group, kind in _GROUPS:
+        _require_things(data, group, kind, where=where)
+    return convert(data, Site, where=where)
 
 
-def read_yaml(text: str, *, where: str) -> object:
-    """Return the plain data in strict YAML.
+def _require_things(data: object, group: str, kind: type[Struct], *, where: str) -> None:
+    """Raise for the first thing of a group that is none, naming it: thirty regions look alike."""
+    things = data.get(group) if isinstance(data, dict) else None
+    for item, value in things.items() if isinstance(things, dict) else ():
+        if not isinstance(item, str) or not is_identifier(item):
+            raise MalformedError(
+                f"expected an id of a-z, 0-9 and `_.:-`, got `{shown(str(item))}`",
+                where=f"{where}:{group}",
+            )
+        try:
+            convert(value, kind, where="")
+        except MalformedError as error:
+            inner = error.where.replace(":", ".", 1)
+            place = f"{where}:{group}.{item}{inner}"
+            raise MalformedError(error.message, where=place) from error
+
+
+def require_sound(site: Site, *, where: str) -> Site:
+    """Return the site itself once it has no fault.
 
     Raises:
-        MalformedError: with the place that the parser names.
+        MalformedError: it has faults; the first is named, the others counted.
     """
-    try:
-        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - a SafeLoader
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
-        message = " ".join(str(error).split())
-        raise MalformedError(message, where=where) from error
-
-
-def convert(data: object, kind: type[T], *, where: str) -> T:
-    """Return plain data as a struct, strictly.
-
-    Raises:
-        MalformedError: with the place of the first fault.
-    """
-    try:
-        return msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
-        text, _, place = str(error).partition(" - at ")
-        place = place.strip("`").removeprefix("$").removeprefix(".")
-        joined = f"{where}:{place}" if place else where
-        raise MalformedError(text[:1].lower() + text[1:], where=joined) from error
+    found = faults(site)
+    if found:
+        more = f" (and {len(found) - 1} more: `authguard site check`)" if len(found) > 1 else ""
+        raise MalformedError(found[0].message + more, where=f"{where}:{found[0].where}")
+    return site
 
 
 def read_site(path: Path) -> Site:
@@ -116,9 +91,4 @@ def read_site(path: Path) -> Site:
         EnvironmentFault: the file cannot be read.
         MalformedError: not a site model, or one with faults; the first is named.
     """
-    site = convert(read_yaml(read_text(path), where=str(path)), Site, where=str(path))
-    found = faults(site)
-    if found:
-        more = f" (and {len(found) - 1} more: `authguard site check`)" if len(found) > 1 else ""
-        raise MalformedError(found[0].message + more, where=f"{path}:{found[0].where}")
-    return site
+    return require_sound(parse_site(read_text(path), where=str(path)), where=str(path))

@@ -89,21 +89,47 @@ class _Ticket(Generic[T]):
 
 
 class _SqliteTurn:
-    """One consistent view inside the open transaction (`core.ports.Turn`)."""
+    """One consistent view inside the open transaction (`core.ports.Turn`).
+
+    What a job puts and appends is kept apart until it ends well, as in the store in memory: a job
+    that fails has written nothing, and needs no savepoint to undo it.
+    """
 
     def __init__(self, connection: apsw.Connection, size: int, link: bytes) -> None:
         self._connection = connection
+        self._many = connection.cursor().executemany
         self.size = size
         self.link = link
+        self._puts: dict[tuple[str, str], bytes] = {}
+        self._rows: list[tuple[int, bytes, bytes, bytes]] = []
         self._known: dict[tuple[str, str], bytes | None] = {}
 
+    def write(self) -> None:
+        """Write what the job put and appended; on disk when the batch commits."""
+        self._many("INSERT INTO audit VALUES (?, ?, ?, ?)", self._rows)
+        self._many(
+            "INSERT INTO held VALUES (?, ?, ?) "
+            "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
+            [(*place, value) for place, value in self._puts.items()],
+        )
+        for place, value in self._puts.items():
+            self._know(place, value)
+        self._puts, self._rows = {}, []
+
+    def drop(self, head: tuple[int, bytes]) -> None:
+        """Forget what the job put and appended; none of it was written."""
+        self.size, self.link = head
+        self._puts, self._rows = {}, []
+
     def forget(self) -> None:
-        """Read everything again: what was put may have been undone."""
+        """Read everything again: what was written may have been undone."""
         self._known.clear()
 
     def get(self, kind: str, key: str) -> bytes | None:
         """Return the value held under the key."""
         place = (kind, key)
+        if place in self._puts:
+            return self._puts[place]
         if place not in self._known:
             query = "SELECT value FROM held WHERE kind = ? AND key = ?"
             row = _first(self._connection, query, place)
@@ -112,12 +138,7 @@ class _SqliteTurn:
 
     def put(self, kind: str, key: str, value: bytes) -> None:
         """Hold the value when the turn commits."""
-        self._connection.execute(
-            "INSERT INTO held VALUES (?, ?, ?) "
-            "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
-            (kind, key, value),
-        )
-        self._know((kind, key), value)
+        self._puts[kind, key] = value
 
     def _know(self, place: tuple[str, str], value: bytes | None) -> None:
         """Keep what is held: the lock is exclusive, so nobody else can change it."""
@@ -132,9 +153,7 @@ class _SqliteTurn:
     def append(self, record: bytes, sealed: bytes, link: bytes) -> int:
         """Append one record."""
         seq = self.size
-        self._connection.execute(
-            "INSERT INTO audit VALUES (?, ?, ?, ?)", (seq, record, sealed, link)
-        )
+        self._rows.append((seq, record, sealed, link))
         self.size, self.link = seq + 1, link
         return seq
 
@@ -144,6 +163,7 @@ class SqliteStore:
 
     def __init__(self, connection: apsw.Connection) -> None:
         self._connection = connection
+        self._execute = connection.cursor().execute
         self._lock = threading.Lock()
         self._pending: deque[_Ticket[object]] = deque()
         self._turn = _SqliteTurn(connection, *_read_head(connection))
@@ -168,12 +188,12 @@ class SqliteStore:
 
     def _commit_batch(self) -> None:
         batch = [self._pending.popleft() for _ in range(min(len(self._pending), _MAX_BATCH))]
-        before = (self._turn.size, self._turn.link)
+        before = self._turn.head()
         try:
-            self._connection.execute("BEGIN IMMEDIATE")
+            self._execute("BEGIN IMMEDIATE")
             for ticket in batch:
                 self._run_one(ticket)
-            self._connection.execute("COMMIT")
+            self._execute("COMMIT")
         except apsw.Error as error:
             self._roll_back(before)
             for ticket in batch:
@@ -189,27 +209,25 @@ class SqliteStore:
 
     def _run_one(self, ticket: _Ticket[object]) -> None:
         """Run one job; its own mistake undoes it alone, the store's fault undoes the batch."""
-        before = (self._turn.size, self._turn.link)
-        self._connection.execute("SAVEPOINT job")
+        before = self._turn.head()
         try:
             ticket.result = ticket.job(self._turn)
         except apsw.Error:
             raise
         except BaseException as error:  # noqa: BLE001 - handed to the caller of `run`
-            self._connection.execute("ROLLBACK TO job")
-            self._turn.size, self._turn.link = before
-            self._turn.forget()
+            self._turn.drop(before)
             ticket.error = error
-        self._connection.execute("RELEASE job")
+        else:
+            self._turn.write()
 
     def _roll_back(self, before: tuple[int, bytes]) -> None:
-        self._turn.size, self._turn.link = before
+        self._turn.drop(before)
         self._turn.forget()
         try:
             if self._connection.in_transaction:
                 self._connection.execute("ROLLBACK")
             # an interrupt can come when the commit is done: what counts is what is there
-            self._turn.size, self._turn.link = _read_head(self._connection)
+            self._turn.drop(_read_head(self._connection))
         except apsw.Error:  # pragma: no cover - nothing was committed either way
             pass
 

@@ -41,13 +41,13 @@ def build(draft: dict[str, Any]) -> Any:
 @pytest.mark.parametrize(
     ("draft", "field"),
     [
-        (changed(1, rows=None), "grants[1].rows"),
+        (changed(1, rows=None), "grants[1].rows[0].object"),
         (changed(1, repeat=None), "grants[1].repeat"),
         (changed(1, starts=None), "grants[1].starts"),
         (changed(1, max=None), "grants[1].max"),
         (changed(1, irreversible=None), "grants[1].irreversible"),
-        ({k: v for k, v in worlds.draft().items() if k != "budgets"}, "budgets"),
-        ({k: v for k, v in worlds.draft().items() if k != "risk_policy"}, "risk_policy"),
+        ({k: v for k, v in worlds.draft().items() if k != "budgets"}, "budgets.actions"),
+        ({k: v for k, v in worlds.draft().items() if k != "risk_policy"}, "risk_policy.privacy"),
         (worlds.draft(budgets={"actions": 1, "rate": {}}), "budgets.rate.count"),
         (worlds.draft(closing={"grants": ["go-home"]}), "closing.for"),
     ],
@@ -75,7 +75,7 @@ def test_recording_storing_and_transmitting_are_each_asked_about(given: dict[str
         build(changed(1, **VIDEO, data=given))
     right = "store" if given else "record"
     assert asked.value.field == f"grants[1].data.{right}"
-    assert asked.value.candidates == ("yes", "no")
+    assert asked.value.candidates == ("true", "false")
 
 
 def test_rights_that_were_given_are_on_the_card() -> None:
@@ -96,7 +96,7 @@ def test_rights_that_were_given_are_on_the_card() -> None:
         ),
         (
             [{"object": "package-p1", "source": "dock", "regions": ["dock", "moon"]}],
-            "regions",
+            "rows[0].regions[1]",
         ),
     ],
 )
@@ -164,8 +164,8 @@ def test_a_comparison_shows_what_is_added_first() -> None:
     old, new = worlds.mission(), worlds.mission("mission-v2.yaml", supersedes="A" * 43)
     lines = compare(old, new, worlds.site())
     kinds = [line.split()[0] for line in lines]
-    assert kinds == sorted(kinds, key=lambda kind: kind != "ADDS")
-    assert {"ADDS", "removes"} == set(kinds)
+    assert kinds == sorted(kinds, key=["ADDS", "changes", "removes"].index)
+    assert {"ADDS", "changes", "removes"} == set(kinds)
     assert compare(old, old, worlds.site()) == ("changes no permission",)
 
 

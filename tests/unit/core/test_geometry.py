@@ -22,6 +22,7 @@ from authguard_r.core.geometry import (
     Polygon,
     may_cross,
     may_lie_in,
+    must_lie_in,
     polygon,
     side,
     stopping_margin,
@@ -398,3 +399,70 @@ def test_a_stopping_margin_covers_reaction_and_braking_rounded_up() -> None:
     assert stopping_margin(150, 0, reaction_ms=500, brake_mm_s2=1_000) == 150
     assert stopping_margin(150, 800, reaction_ms=200, brake_mm_s2=1_000) == 150 + 160 + 320
     assert stopping_margin(0, -1, reaction_ms=1, brake_mm_s2=1_000) == 2
+
+
+def test_a_pose_must_lie_where_all_of_its_margin_lies_and_the_oracle_says_so_too() -> None:
+    dice = random.Random("must")
+    inside = 0
+    for _ in range(20_000):
+        corners = (
+            (0, 0),
+            (dice.randint(2, 9), dice.randint(-2, 2)),
+            (9, 9),
+            (-1, dice.randint(3, 9)),
+        )
+        area, point = polygon("main", 1, corners), (dice.randint(-2, 10), dice.randint(-2, 10))
+        margin = dice.randint(0, 3)
+        got = must_lie_in(area, point, margin)
+        assert got == oracle.is_deep(point, list(corners), margin)
+        assert not got or may_lie_in(area, point, margin)
+        inside += got
+    assert inside > 2_000
+
+
+ROOM, PART = ((0, 0), (100, 0), (100, 100), (0, 100)), ((20, 20), (60, 20), (60, 60), (20, 60))
+
+
+@pytest.mark.parametrize(
+    ("at", "margin", "wanted"),
+    [
+        ((40, 40), 5, {"part"}),
+        ((40, 40), 19, {"part"}),
+        ((40, 40), 20, {"part", "room"}),
+        ((25, 40), 10, {"part", "room"}),
+        ((80, 80), 5, {"room"}),
+        ((64, 40), 5, {"part", "room"}),
+        ((20, 40), 0, {"part", "room"}),
+    ],
+)
+def test_only_the_inner_region_counts_once_no_doubt_is_left(
+    at: Point, margin: int, wanted: set[str]
+) -> None:
+    regions = {
+        "room": RegionFacts(polygon("main", 1, ROOM), frozenset()),
+        "part": RegionFacts(polygon("main", 1, PART), frozenset(), frozenset({"room"})),
+    }
+    site = SiteFacts(
+        digest=worlds.facts().digest,
+        robot=worlds.facts().robot,
+        regions=regions,
+        objects={},
+        vocabulary={},
+    )
+    label = Label.TRUSTED_SENSOR
+    pose = Pose(
+        map="main", floor=1, x_mm=at[0], y_mm=at[1], margin_mm=margin, label=label, age_ms=0
+    )
+    snapshot = Snapshot(robot=worlds.RID, epoch=1, seq=1, pose=pose)
+    assert place_of(snapshot, site) == wanted
+    plain = {
+        name: {
+            "map": "main",
+            "floor": 1,
+            "points": [list(p) for p in known.area.points],
+            "around": sorted(known.around),
+        }
+        for name, known in regions.items()
+    }
+    spoken = {"map": "main", "floor": 1, "x_mm": at[0], "y_mm": at[1], "margin_mm": margin}
+    assert oracle.place_of(spoken, {"regions": plain}) == wanted

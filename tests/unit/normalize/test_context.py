@@ -16,7 +16,7 @@ from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.context import CHANNELS, ContextLedger, Influence
+from authguard_r.normalize.context import CHANNELS, ContextLedger, Influence, channel_labels
 from authguard_r.normalize.labels import label_fields
 from unit.normalize.dialogue import as_json, binder, read
 
@@ -122,6 +122,61 @@ def test_the_label_is_the_channel_s_and_never_the_text_s() -> None:
         assert context.base() is Label.CAMERA
 
 
+# -- a site's own channels -------------------------------------------------------------------------
+
+
+def test_a_site_may_add_channels_and_trust_a_shipped_one_less() -> None:
+    added = {"lidar_text": "camera", "intranet": "retrieval", "tool": "retrieval", "pager": "model"}
+    context = ContextLedger(binder().spellings(), channels=added)
+    for channel, label in (("pager", "model"), ("tool", "retrieval"), ("lidar_text", "camera")):
+        context.add(channel, "go to Station 101")
+        assert context.base() == label
+    assert [item.label for item in context.influences(going())] == ["model", "retrieval", "camera"]
+    assert channel_labels(added) == {**TABLE, **added}
+    assert channel_labels({}) == TABLE == CHANNELS
+
+
+@pytest.mark.parametrize("label", ["operator", "supervisor", "trusted_sensor"])
+@pytest.mark.parametrize("channel", ["intercom", "chat", "camera", "operator"])
+def test_no_channel_of_text_can_be_made_an_authority(channel: str, label: str) -> None:
+    """The attack by configuration: chat is declared to be the operator."""
+    with pytest.raises(MalformedError) as caught:
+        ContextLedger(binder().spellings(), channels={channel: label})
+    assert (caught.value.reason, caught.value.where) == (
+        Reason.VALUE_INVALID,
+        f"channels.{channel}",
+    )
+
+
+@pytest.mark.parametrize(("channel", "label"), TABLE.items(), ids=TABLE)
+def test_a_shipped_channel_is_never_trusted_more_than_the_table_has_it(
+    channel: str, label: Label
+) -> None:
+    for other in LADDER:
+        allowed = LADDER.index(other) >= LADDER.index(label)
+        try:
+            labels = channel_labels({channel: other})
+        except MalformedError:
+            assert not allowed
+        else:
+            assert allowed
+            assert labels == {**TABLE, channel: other}
+
+
+@pytest.mark.parametrize("channel", ["", "Camera", "a b", "9", "x" * 33, "caf\u00e9", "a\n"])
+def test_a_channel_s_name_is_plain(channel: str) -> None:
+    with pytest.raises(MalformedError) as caught:
+        channel_labels({channel: "camera"})
+    assert caught.value.reason is Reason.MALFORMED
+
+
+@pytest.mark.parametrize("label", ["", "Camera", "trusted", "camera ", "\ud800"])
+def test_a_label_that_is_none_is_refused(label: str) -> None:
+    with pytest.raises(MalformedError) as caught:
+        channel_labels({"pager": label})
+    assert caught.value.reason is Reason.VALUE_INVALID
+
+
 # -- mentions --------------------------------------------------------------------------------------
 
 
@@ -149,16 +204,32 @@ def test_a_marker_in_a_channel_is_traced_to_it_with_label_and_digest(
 def test_every_carried_field_is_traced_by_itself() -> None:
     context = ledger()
     context.add("ocr", "Take P1 along the Corridor to Station 101")
-    context.add("audio", "station 101!")
+    context.add("audio", "station 101! Leave the pharmacy now")
     found = context.influences(
-        going(object="package-p1", source="dock", route=("staff-corridor", "public-corridor"))
+        going(object="package-p1", source="pharmacy", route=("staff-corridor", "public-corridor"))
     )
     assert [(item.field, item.value, item.channel) for item in found] == [
         ("object", "package-p1", "ocr"),
+        ("source", "pharmacy", "audio"),
         ("destination", "station-101", "ocr"),
         ("destination", "station-101", "audio"),
         ("route[1]", "public-corridor", "ocr"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "how"),
+    [
+        ("Station 101", "exact"),
+        ("go to STATION\t101.", "exact"),
+        ("station_101", "variant"),
+        ("room one-oh-one", "number"),
+    ],
+)
+def test_an_influence_says_how_near_the_mention_is(text: str, how: str) -> None:
+    context = ledger()
+    context.add("ocr", text)
+    assert [str(item.how) for item in context.influences(going())] == [how]
 
 
 @pytest.mark.parametrize(
@@ -190,9 +261,8 @@ def test_a_mention_in_any_case_and_spacing_is_found(text: str) -> None:
         "Station",
         "101",
         "Station 1011",
-        "xStation 101",
+        "xstation 101",
         "Station 10",
-        "Station_101",
         "Station 102",
     ],
 )
@@ -200,6 +270,19 @@ def test_what_is_no_whole_name_is_no_mention(text: str) -> None:
     context = ledger()
     context.add("ocr", text)
     assert context.influences(going()) == ()
+
+
+def test_asking_again_answers_alike_until_more_is_heard() -> None:
+    context = ledger()
+    context.add("ocr", "Station 101")
+    first = context.influences(going())
+    assert context.influences(going()) == first
+    assert [item.field for item in context.influences(going(source="station-101"))] == [
+        "source",
+        "destination",
+    ]
+    context.add("audio", "station one-oh-one")
+    assert [item.channel for item in context.influences(going())] == ["ocr", "audio"]
 
 
 def test_a_value_that_the_action_does_not_carry_influenced_nothing() -> None:
@@ -227,7 +310,7 @@ def test_the_longer_of_two_names_is_the_one_that_was_meant() -> None:
 
 def test_a_name_is_text_and_no_pattern() -> None:
     context = ContextLedger({"Bay (A.*)": "bay"})
-    context.add("ocr", "Bay A, Bay AAA, Bay (A)")
+    context.add("ocr", "Bay AAA, Bay (B), Bay .*")
     assert context.influences(going("bay")) == ()
     context.add("ocr", "at Bay (A.*) now")
     assert len(context.influences(going("bay"))) == 1

@@ -87,19 +87,51 @@ def test_a_plan_in_another_dialect_than_was_named_is_refused(dialect: Dialect) -
     [
         ("Sure! Here is the plan: []", "input[0]"),
         ('```json\n{"plan": []}\n```', "input[0]"),
-        ("<think>go</think>", "input[0]"),
+        ("```python\ngo()\n```", "input[0]"),
+        ("\n\n<think>go</think>", "input[2]"),
         ("null", "input[0]"),
         ('"go()"', "input[0]"),
         ("- tool: go", "input[0]"),
         ("\u00a0[]", "input[0]"),
         ("\ufeff[]", "input[0]"),
-        ('{"plan": []} That is all.', "input[13]"),
-        ("go() # done", "input[5]"),
+        ("// go there\n[]", "input[0]"),
+        ("g\u00f6()", "input[0]"),
+        ("-1", "input[0]"),
     ],
 )
-def test_prose_around_a_plan_is_refused_where_it_stands(text: str, where: str) -> None:
-    """Nothing is cut out, stripped or repaired (L12)."""
-    refused(text, Reason.MALFORMED, where)
+def test_prose_before_a_plan_is_in_no_dialect(text: str, where: str) -> None:
+    """Nothing is cut out, stripped or repaired; a fence is not unwrapped (L12)."""
+    refused(text, Reason.DIALECT_UNKNOWN, where)
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ('{"plan": []} That is all.', "input[13]"),
+        ("go() # done", "input[5]"),
+        ("go()\n# done", "input[5]"),
+        ("go()\n```", "input[5]"),
+        ("{'plan': []}", "input.plan"),
+        ("['find Mug']", "input[1]"),
+        ("{plan: []}", "input[1]"),
+        ('{"plan": [], // none\n}', "input[13]"),
+        ('/* none */ {"plan": []}', "input[0]"),
+    ],
+)
+def test_what_is_no_plan_is_refused_where_it_stands(text: str, where: str) -> None:
+    """Prose after a plan, comments and single quotes in JSON: refused, never mended (L12)."""
+    with pytest.raises(MalformedError) as caught:
+        read_plan(text, Dialect.AUTO)
+    assert caught.value.where == where
+
+
+@pytest.mark.parametrize("text", ['{"plan": [],}', '[{"tool": "go", "arguments": {}},]'])
+def test_a_trailing_comma_in_json_is_refused_inside(text: str) -> None:
+    """Where exactly, the standard library's readers of different years disagree."""
+    with pytest.raises(MalformedError) as caught:
+        read_plan(text, Dialect.AUTO)
+    assert caught.value.reason is Reason.MALFORMED
+    assert caught.value.where.startswith("input[")
 
 
 # -- JSON ------------------------------------------------------------------------------------------
@@ -265,6 +297,15 @@ def test_a_reply_that_is_no_plan_is_refused_in_its_place(text: str, where: str) 
     refused(text, Reason.MALFORMED, where, Dialect.OPENAI)
 
 
+def test_a_call_in_the_retired_form_refuses_the_reply_instead_of_getting_lost() -> None:
+    whole = reply()
+    message = whole["choices"][0]["message"]
+    message["function_call"] = {"name": "go", "arguments": "{}"}
+    refused(json.dumps(whole), Reason.MALFORMED, "choices[0].message.function_call")
+    message["function_call"] = None
+    assert said(json.dumps(whole)) == [GO]
+
+
 @pytest.mark.parametrize("message", [{}, {"content": "I will go."}, {"tool_calls": None}])
 def test_a_reply_that_only_talks_is_an_empty_plan(message: dict[str, Any]) -> None:
     refused(choice(message=message, finish_reason="stop"), Reason.PLAN_EMPTY, "input")
@@ -341,4 +382,11 @@ def test_no_text_at_all_raises_anything_but_malformed(text: str, dialect: Dialec
         refusal = error
     else:
         return
-    assert refusal.reason in {Reason.MALFORMED, Reason.PLAN_EMPTY, Reason.FIELD_UNKNOWN}
+    assert refusal.where
+    assert refusal.reason in {
+        Reason.MALFORMED,
+        Reason.PLAN_EMPTY,
+        Reason.FIELD_UNKNOWN,
+        Reason.DIALECT_UNKNOWN,
+        Reason.TOOL_UNKNOWN,
+    }

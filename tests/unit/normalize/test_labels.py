@@ -9,7 +9,7 @@ import pytest
 import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.mission import Row
-from authguard_r.core.provenance import Label
+from authguard_r.core.provenance import Chooser, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
 from authguard_r.normalize.labels import label_fields
@@ -113,3 +113,73 @@ def test_a_label_that_a_proposal_brings_along_is_not_read() -> None:
             assert label_fields(forged, verified, None, base=Label.CAMERA) == label_fields(
                 action, verified, None, base=Label.CAMERA
             )
+
+
+def going(chooser: str, *rows: Row) -> VerifiedMission:
+    """Return the story's mission with these rows to drive to the pharmacy and no other drive."""
+    mission = worlds.mission()
+    grant = replace(mission.actions[0], alternatives=rows, chooser=Chooser(chooser))
+    others = tuple(g for g in mission.actions if g.type != "navigate")
+    closing = None
+    return worlds.verified(replace(mission, actions=(grant, *others), closing=closing))
+
+
+def row(source: str, destination: str) -> Row:
+    return Row(source=source, destination=destination, regions=(source, destination))
+
+
+@pytest.mark.parametrize(
+    ("chooser", "label"), [("operator", Label.OPERATOR), ("supervisor", Label.SUPERVISOR)]
+)
+def test_what_a_selection_settles_is_its_chooser_s(chooser: str, label: Label) -> None:
+    verified = going(chooser, row("dock", "pharmacy"), row("dock", "station-103"))
+    standing = replace(worlds.active(verified), selected={"go-to-pharmacy": 1})
+    action = worlds.navigate("dock", "station-103")
+    labels = label_fields(action, verified, standing, base=Label.CAMERA)
+    assert labels["destination"] is label
+    labels = label_fields(action, verified, worlds.active(verified), base=Label.CAMERA)
+    assert labels["destination"] is Label.CAMERA
+
+
+def test_what_only_the_place_of_the_robot_settles_is_the_sensor_s() -> None:
+    verified = going("trusted_sensor", row("dock", "pharmacy"), row("pharmacy", "dock"))
+    labels = label_fields(worlds.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
+    assert labels["destination"] is Label.TRUSTED_SENSOR
+    labels = label_fields(worlds.navigate("dock", "dock"), verified, None, base=Label.CAMERA)
+    assert labels["destination"] is Label.CAMERA
+
+
+def test_of_two_grants_that_leave_one_value_the_less_trusted_word_counts() -> None:
+    signed = going("operator", row("dock", "pharmacy"))
+    sensed = going("trusted_sensor", row("dock", "pharmacy"), row("pharmacy", "dock"))
+    both = (replace(sensed.mission.actions[0], id="other"), *signed.mission.actions)
+    verified = worlds.verified(replace(signed.mission, actions=both))
+    labels = label_fields(worlds.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
+    assert labels["destination"] is Label.TRUSTED_SENSOR
+
+
+def test_a_planner_that_chooses_among_grants_chooses_no_value() -> None:
+    """The story has three drives to three places; each place is the operator's own word."""
+    for source, goal in (
+        ("dock", "pharmacy"),
+        ("pharmacy", "station-101"),
+        ("station-101", "dock"),
+    ):
+        labels = label_fields(
+            worlds.navigate(source, goal), worlds.verified(), None, base=Label.CAMERA
+        )
+        assert labels["destination"] is Label.OPERATOR
+    for goal in ("station-103", "office-1"):
+        labels = label_fields(
+            worlds.navigate("dock", goal), worlds.verified(), None, base=Label.CAMERA
+        )
+        assert labels["destination"] is Label.CAMERA
+
+
+def test_a_value_that_another_grant_leaves_open_is_nobody_s_choice() -> None:
+    signed = going("operator", row("dock", "pharmacy"))
+    wide = going("operator", row("dock", "pharmacy"), row("dock", "station-103"))
+    both = (*signed.mission.actions, replace(wide.mission.actions[0], id="other"))
+    verified = worlds.verified(replace(signed.mission, actions=both))
+    labels = label_fields(worlds.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
+    assert labels["destination"] is Label.CAMERA

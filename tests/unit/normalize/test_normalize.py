@@ -27,6 +27,7 @@ GO = ("navigate_to", {"destination": "Dock"})
 OURS = {
     Reason.MALFORMED,
     Reason.INPUT_TOO_LARGE,
+    Reason.DIALECT_UNKNOWN,
     Reason.PLAN_EMPTY,
     Reason.TOOL_UNKNOWN,
     Reason.FIELD_UNKNOWN,
@@ -61,12 +62,15 @@ def test_every_shipped_reply_is_read_or_refused_by_name(path: Path) -> None:
         refused(path.read_bytes(), Reason.NAME_UNKNOWN, where)
         return
     plan = read(path.read_bytes())
+    told = {"deliver.bare.json": Dialect.JSON, "deliver.calls.txt": Dialect.CALLS}
+    assert plan.dialect is told.get(path.name, Dialect.OPENAI)
     assert plan.evidence == digest(Tag.RAW, path.read_bytes())
 
 
 def test_the_evidence_is_of_the_exact_bytes_also_where_they_mean_the_same() -> None:
     texts = [as_json(GO), f" {as_json(GO)}", WRITERS[Dialect.CALLS](GO), as_openai(GO)]
     plans = [read(text) for text in texts]
+    assert [str(plan.dialect) for plan in plans] == ["json", "json", "calls", "openai"]
     assert len({plan.evidence for plan in plans}) == len(texts)
     assert len({str(plan.steps) for plan in plans}) == 1
     assert [plan.evidence for plan in plans] == [digest(Tag.RAW, t.encode()) for t in texts]

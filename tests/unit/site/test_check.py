@@ -14,13 +14,16 @@ from authguard_r.site.check import Fault, faults
 from authguard_r.site.model import (
     ActionModel,
     Door,
+    Emergency,
     ObjectModel,
     Parameter,
+    Person,
     Region,
     Robot,
     Rounding,
     Site,
 )
+from authguard_r.site.model import PersonRole as Role
 
 replace = msgspec.structs.replace
 
@@ -36,7 +39,8 @@ def region(name: str, **changes: Any) -> Site:
 
 
 def added(name: str, **changes: Any) -> Site:
-    return region(name, **{"names": (), **changes})
+    """Return the site with one region more, alone on its floor."""
+    return region(name, **{"names": (), "floor": 9, **changes})
 
 
 def thing(name: str, **changes: Any) -> Site:
@@ -66,6 +70,14 @@ def speed(**changes: Any) -> Site:
 
 def doors(*more: Door) -> Site:
     return site(doors=(*worlds.site().doors, *more))
+
+
+def person(*names: str) -> Person:
+    return Person(roles=(Role.OPERATOR,), names=names)
+
+
+def square(x: int, y: int, side: int = 2000) -> Any:
+    return ((x, y), (x + side, y), (x + side, y + side), (x, y + side))
 
 
 NEW = len(worlds.site().doors)
@@ -113,6 +125,145 @@ BROKEN: dict[str, tuple[Callable[[], Site], str, str]] = {
         lambda: region("plant-room", approach=(25999, -3000)),
         "regions.plant-room.approach",
         "inside",
+    ),
+    "a region's name in another case": (
+        lambda: region("dock", names=("corridor",)),
+        "regions.dock.names",
+        "cannot be taken for `Corridor` of `public-corridor`",
+    ),
+    "an empty name": (lambda: region("dock", names=("",)), "regions.dock.names[0]", "not empty"),
+    "a blank name": (
+        lambda: region("dock", names=("Dock", "\u2003 ")),
+        "regions.dock.names[1]",
+        "not empty",
+    ),
+    "a padded name": (
+        lambda: thing("sharps-bin", names=("Sharps Bin ",)),
+        "objects.sharps-bin.names[0]",
+        "no space around `Sharps Bin `",
+    ),
+    "a name that turns the line round": (
+        lambda: region("dock", names=("Dock\u202etac",)),
+        "regions.dock.names[0]",
+        "printable characters, got `Dock\\u202etac`",
+    ),
+    "a name twice": (
+        lambda: region("dock", names=("Dock", "Dock")),
+        "regions.dock.names[1]",
+        "each name once",
+    ),
+    "a person's name is another's": (
+        lambda: site(people={"ann": person("Ann Lee"), "ben": person("ANN LEE")}),
+        "people.ben.names",
+        "`Ann Lee` of `ann`",
+    ),
+    "people twins": (
+        lambda: site(people={"ann-1": person(), "ann.l": person()}),
+        "people.ann.l",
+        "`ann-1`",
+    ),
+    "a person without a role": (
+        lambda: site(people={"ann": Person(roles=())}),
+        "people.ann.roles",
+        "at least one",
+    ),
+    "roles not sorted": (
+        lambda: site(people={"ann": Person(roles=(Role.SUPERVISOR, Role.OPERATOR))}),
+        "people.ann.roles",
+        "sorted",
+    ),
+    "an unknown parent": (
+        lambda: added("nook", within="cellar"),
+        "regions.nook.within",
+        "`cellar`",
+    ),
+    "its own parent": (
+        lambda: added("nook", within="nook"),
+        "regions.nook.within",
+        "within itself",
+    ),
+    "a parent on another floor": (
+        lambda: added("nook", within="dock"),
+        "regions.nook.within",
+        "the floor of `dock`",
+    ),
+    "a child that looks out of its parent": (
+        lambda: added(
+            "nook", within="dock", floor=1, points=square(36001, 0), approach=(37000, 1000)
+        ),
+        "regions.nook.within",
+        "inside `dock`",
+    ),
+    "two regions that overlap by a millimeter": (
+        lambda: added("nook", floor=1, points=square(37999, 0), approach=(38500, 1000)),
+        "regions.nook.points",
+        "no area in common with `dock`",
+    ),
+    "one region twice": (
+        lambda: added("nook", floor=1),
+        "regions.nook.points",
+        "no area in common with `dock`",
+    ),
+    "a region within a region that does not say so": (
+        lambda: added("nook", floor=1, points=square(35000, 500)),
+        "regions.nook.points",
+        "or `within`",
+    ),
+    "a door from a region to itself": (
+        lambda: doors(Door(between=("dock", "dock"), at=(34000, 1500))),
+        f"doors[{NEW}].between",
+        "`dock` twice",
+    ),
+    "a door between maps": (
+        lambda: replace(
+            added("nook", map="annex"),
+            doors=(*worlds.site().doors, Door(between=("dock", "nook"), at=(36000, 1500))),
+        ),
+        f"doors[{NEW}].between",
+        "one map",
+    ),
+    "a door in the middle of parent and child": (
+        lambda: replace(
+            added("nook", floor=1, points=square(35000, 500), within="dock"),
+            doors=(*worlds.site().doors, Door(between=("dock", "nook"), at=(35500, 1000))),
+        ),
+        f"doors[{NEW}].at",
+        "the edge of `dock` or `nook`",
+    ),
+    "an emergency place that is none": (
+        lambda: site(emergency=Emergency(places={"cellar": "charging"})),
+        "emergency.places.cellar",
+        "region of this site",
+    ),
+    "a baseline not sorted": (
+        lambda: replace(kind("a", moves=False), baseline=("announce", "a")),
+        "baseline",
+        "sorted set",
+    ),
+    "a baseline of a type twice": (
+        lambda: site(baseline=("announce", "announce")),
+        "baseline",
+        "sorted set",
+    ),
+    "a baseline of an unknown type": (
+        lambda: site(baseline=("read_minds",)),
+        "baseline[0]",
+        "`read_minds`",
+    ),
+    "a baseline that moves": (
+        lambda: replace(kind("roll", moves=True), baseline=("roll",)),
+        "baseline[0]",
+        "`roll`",
+    ),
+    "a baseline with a field": (
+        lambda: replace(kind("look", fields=("object",)), baseline=("look",)),
+        "baseline[0]",
+        "`look`",
+    ),
+    "a baseline with a parameter": (
+        lambda: replace(kind("look", params={"max_bytes": BYTES}), baseline=("look",)),
+        "baseline[0]",
+        "`look`",
     ),
     "no tags": (lambda: region("dock", tags=()), "regions.dock.tags", "at least one"),
     "tags not sorted": (
@@ -215,7 +366,7 @@ SOUND: dict[str, Callable[[], Site]] = {
     "a twin of another kind": lambda: thing("dock", names=()),
     "one spelling for a region and an object": lambda: thing("sharps-bin", names=("Corridor",)),
     "a name that repeats its own id": lambda: region("dock", names=("dock",)),
-    "a name in another case": lambda: region("dock", names=("corridor",)),
+    "one thing in two cases": lambda: region("dock", names=("Dock", "DOCK", "dock")),
     "approach on the edge": lambda: region("dock", approach=(34000, 1500)),
     "corners the other way round": lambda: region(
         "dock", points=worlds.site().regions["dock"].points[::-1]
@@ -228,6 +379,44 @@ SOUND: dict[str, Callable[[], Site]] = {
     ),
     "two tools": lambda: robot("lifter-1", tools={"pick": ("arm", "gripper")}),
     "the same room on another floor": lambda: added("dock-2", floor=2),
+    "a child along its parent's edge": lambda: added(
+        "nook", floor=1, points=square(34000, 0), approach=(35000, 1000), within="dock"
+    ),
+    "a child of a child": lambda: site(
+        regions={
+            **worlds.site().regions,
+            "nook": Region(
+                map="main",
+                floor=1,
+                points=square(34000, 0),
+                approach=(35000, 1000),
+                tags=("staff",),
+                within="dock",
+            ),
+            "niche": Region(
+                map="main",
+                floor=1,
+                points=square(34000, 0, 500),
+                approach=(34200, 200),
+                tags=("staff",),
+                within="nook",
+            ),
+        }
+    ),
+    "a door on a child's edge": lambda: replace(
+        added("nook", floor=1, points=square(35000, 500), approach=(36000, 1000), within="dock"),
+        doors=(*worlds.site().doors, Door(between=("dock", "nook"), at=(35000, 1000))),
+    ),
+    "a lift": lambda: replace(
+        added("dock-2", floor=2),
+        doors=(*worlds.site().doors, Door(between=("dock", "dock-2"), at=(36000, 1500))),
+    ),
+    "two regions that share a wall": lambda: added(
+        "nook", floor=1, points=square(38000, 0), approach=(39000, 1000)
+    ),
+    "people": lambda: site(people={"ann": person("Ann"), "ben": person("Ben")}),
+    "an emergency place": lambda: site(emergency=Emergency(places={"dock": "charging"})),
+    "a baseline": lambda: site(baseline=("announce", "scan_obstacles")),
     "no doors": lambda: site(doors=()),
     "no objects and no robots": lambda: site(objects={}, robots={}),
 }
@@ -245,7 +434,7 @@ def test_every_fault_is_named_in_the_order_of_the_model_s_parts() -> None:
             **worlds.site().regions,
             "office_1": Region(
                 map="main",
-                floor=1,
+                floor=9,
                 points=((0, 0), (1, 0), (0, 1)),
                 approach=(9, 9),
                 tags=(),

@@ -13,7 +13,18 @@ from authguard_r.core.encoding import Tag, decode, digest, encode
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.geometry import polygon
 from authguard_r.core.reasons import Reason
-from authguard_r.site.model import ActionModel, Site, facts_of, profile_digest, site_digest
+from authguard_r.site.model import (
+    ActionModel,
+    Emergency,
+    Person,
+    PersonRole,
+    Profile,
+    Site,
+    facts_of,
+    profile_digest,
+    site_digest,
+    stopping_mm,
+)
 
 replace = msgspec.structs.replace
 FLAGS = ("moves", "waits", "records", "stores", "transmits", "state_writing")
@@ -114,6 +125,7 @@ def test_no_privacy_impact_is_written_by_leaving_it_out() -> None:
 
 def test_a_site_cannot_be_changed_once_it_is_read() -> None:
     site = worlds.site()
+    assert site.emergency is None
     for value, field in (
         (site, "version"),
         (site.regions["dock"], "points"),
@@ -126,6 +138,66 @@ def test_a_site_cannot_be_changed_once_it_is_read() -> None:
     ):
         with pytest.raises(AttributeError):
             setattr(value, field, None)
+
+
+def test_what_a_site_leaves_out_is_not_in_its_digest() -> None:
+    """A site that was signed before there were people and baselines keeps its digest."""
+    spelled = msgspec.json.decode(encode(worlds.site()))
+    assert {"people", "emergency", "baseline", "words"}.isdisjoint(spelled)
+    assert site_digest(worlds.site()) == "IS9-R4CY81wwJMH8q863s0L6Ugh0qUvM5CMEUOxLUJo"
+    envelope = {"max_accel_mm_s2", "brake_mm_s2", "reaction_ms", "controllers"}
+    assert envelope.isdisjoint(spelled["robots"]["courier-1"]["profile"])
+    bare = Profile(tools={}, max_speed_mm_s=1, max_force_mn=1, max_payload_g=1, controllers={})
+    assert b"controllers" not in encode(bare)
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("people", {"ann": Person(roles=(PersonRole.OPERATOR,), names=("Ann",))}),
+        ("emergency", Emergency(places={"dock": "charging"})),
+        ("baseline", ("announce",)),
+    ],
+)
+def test_each_new_part_of_a_site_changes_its_digest_and_comes_back(part: str, value: Any) -> None:
+    changed = replace(worlds.site(), **{part: value})
+    assert decode(encode(changed), Site) == changed
+    assert site_digest(changed) != site_digest(worlds.site())
+
+
+@pytest.mark.parametrize(
+    ("path", "last", "beyond"),
+    [
+        ("people", {"ann": {"roles": ["operator"]}}, {"ann": {"roles": ["owner"]}}),
+        ("people", {"ann": {"roles": ["site_authority"]}}, {"Ann": {"roles": ["operator"]}}),
+        ("emergency", {"places": {"dock": "charging"}}, {"places": {"dock": 1}}),
+        ("emergency", {"places": {}}, {}),
+        ("baseline", ["announce"], "announce"),
+        ("regions/dock/within", "pharmacy", "Pharmacy"),
+        ("robots/lifter-1/profile/brake_mm_s2", 1, 0),
+        ("robots/lifter-1/profile/max_accel_mm_s2", 1, 0),
+        ("robots/lifter-1/profile/reaction_ms", 0, -1),
+        ("robots/lifter-1/profile/controllers", {"nav2": "A" * 43}, {"nav2": "A" * 44}),
+    ],
+)
+def test_each_new_field_ends_where_its_type_ends(path: str, last: Any, beyond: Any) -> None:
+    assert decode(plain(path, last), Site)
+    with pytest.raises(MalformedError):
+        decode(plain(path, beyond), Site)
+
+
+@pytest.mark.parametrize(
+    ("speed", "reaction", "brake", "way"),
+    [(0, 100, 500, 0), (1000, 0, 500, 1000), (1000, 100, 500, 1100), (1, 1, 10**6, 2)],
+)
+def test_a_robot_stops_within_the_way_that_its_profile_says_never_shorter(
+    speed: int, reaction: int, brake: int, way: int
+) -> None:
+    base = worlds.site().robots["courier-1"].profile
+    known = replace(base, reaction_ms=reaction, brake_mm_s2=brake)
+    assert stopping_mm(known, speed) == way
+    assert stopping_mm(replace(known, reaction_ms=None), speed) is None
+    assert stopping_mm(replace(known, brake_mm_s2=None), speed) is None
 
 
 # -- facts -----------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from authguard_r.site.check import faults
 def found(points: Any, approach: tuple[int, int] = (5, 5)) -> list[str]:
     site = worlds.site()
     dock = msgspec.structs.replace(site.regions["dock"], points=points, approach=approach)
-    changed = msgspec.structs.replace(site, regions={**site.regions, "dock": dock}, doors=())
+    changed = msgspec.structs.replace(site, regions={"dock": dock}, doors=())
     return [f.message for f in faults(changed) if f.where == "regions.dock.points"]
 
 

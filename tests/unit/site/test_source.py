@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import json
 import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,8 +20,10 @@ from authguard_r.core.encoding import MAX_BYTES
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.mission import Row
 from authguard_r.core.reasons import Reason
+from authguard_r.site.check import faults
 from authguard_r.site.model import Parameter, Site
-from authguard_r.site.source import convert, read_site, read_text, read_yaml
+from authguard_r.site.places import adjacent
+from authguard_r.site.source import convert, parse_site, read_site, read_text, read_yaml
 
 SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 
@@ -154,6 +159,8 @@ def test_a_tag_of_a_program_is_refused(text: str) -> None:
         "a: \0",
         "a: \x07",
         "a: \ud800",
+        'a: "\\ud800"',
+        '"\\ud83d\\ude00": a',
         "? [a]\n: b",
         "? {a: 1}\n: b",
         "a: =",
@@ -308,16 +315,26 @@ def test_the_order_in_which_a_person_writes_does_not_matter(tmp_path: Path) -> N
         ("id: hospital-floor-1\n", "id: Hospital Floor 1\n", ":id"),
         ("id: hospital-floor-1\n", "id: 1\n", ":id"),
         ("authguard-r/site/1", "authguard-r/site/2", ":schema"),
-        ("approach: [36000, 1500]", "approach: [36000.0, 1500]", ":regions[...].approach[0]"),
-        ("approach: [36000, 1500]", "approach: [36000]", ":regions[...].approach"),
-        ("approach: [36000, 1500]", "approach: 36000", ":regions[...].approach"),
-        ("names: [Sharps Bin]", "names: [101]", ":objects[...].names[0]"),
-        ("names: [Sharps Bin]", "names: Sharps Bin", ":objects[...].names"),
-        ("names: [Sharps Bin]", "names: [~]", ":objects[...].names[0]"),
-        ("mass_g: 1500", "mass_g: 1.5 kg", ":objects[...].mass_g"),
-        ("mass_g: 1500", "mass_g: -1", ":objects[...].mass_g"),
-        ("fields: [object, source]", "fields: [object, sources]", ":vocabulary[...].fields[1]"),
-        ("privacy: 3", "privacy: 4", ":vocabulary[...].privacy"),
+        ("approach: [36000, 1500]", "approach: [36000.0, 1500]", ":regions.dock.approach[0]"),
+        ("approach: [36000, 1500]", "approach: [36000]", ":regions.dock.approach"),
+        ("  dock:\n", "  Dock:\n", ":regions"),
+        ("  dock:\n", "  12:\n", ":regions"),
+        (
+            "        announce: [speaker]",
+            "        Announce: [speaker]",
+            ":robots.courier-1.profile.tools",
+        ),
+        ("  dock:\n    {", "  dock: 5\n  quay:\n    {", ":regions.dock"),
+        ("[36000, 1500], tags: [staff]", "[36000, 1500], label: [staff]", ":regions.dock"),
+        ("objects:\n", "objects: 5\nthings:\n", ""),
+        ("approach: [36000, 1500]", "approach: 36000", ":regions.dock.approach"),
+        ("names: [Sharps Bin]", "names: [101]", ":objects.sharps-bin.names[0]"),
+        ("names: [Sharps Bin]", "names: Sharps Bin", ":objects.sharps-bin.names"),
+        ("names: [Sharps Bin]", "names: [~]", ":objects.sharps-bin.names[0]"),
+        ("mass_g: 1500", "mass_g: 1.5 kg", ":objects.sharps-bin.mass_g"),
+        ("mass_g: 1500", "mass_g: -1", ":objects.sharps-bin.mass_g"),
+        ("fields: [object, source]", "fields: [object, sources]", ":vocabulary.pick.fields[1]"),
+        ("privacy: 3", "privacy: 4", ":vocabulary.record_video.privacy"),
     ],
 )
 def test_a_site_file_with_one_fault_is_refused_in_its_place(
@@ -351,3 +368,70 @@ def test_a_duplicate_region_is_refused_before_one_hides_the_other(tmp_path: Path
         read_site(path)
     assert "duplicate key `dock`" in caught.value.message
     assert caught.value.where == str(path)
+
+
+# -- any data at all -------------------------------------------------------------------------------
+
+PLAIN: Any = msgspec.json.decode(msgspec.json.encode(worlds.site()))
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner),
+    max_leaves=5,
+)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the path of every value inside, itself included."""
+    more: Any = value.items() if isinstance(value, dict) else ()
+    if isinstance(value, list | tuple):
+        more = enumerate(value)
+    return [path, *(found for key, item in more for found in places(item, (*path, key)))]
+
+
+PLACES = places(PLAIN)
+
+
+def with_value(path: tuple[Any, ...], value: Any) -> Any:
+    if not path:
+        return value
+    changed = copy.deepcopy(PLAIN)
+    inner = changed
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return changed
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PLACES), VALUES | st.sampled_from(PLACES).map(lambda path: path[-1:]))
+def test_a_site_with_any_value_anywhere_is_judged_or_refused_with_its_file(
+    path: tuple[Any, ...], value: Any
+) -> None:
+    """Nothing else leaves: no traceback, and no fault without a place in ASCII."""
+    text = json.dumps(with_value(path, value))
+    try:
+        site = parse_site(text, where="x")
+    except MalformedError as error:
+        refusals = [error.where]
+    else:
+        refusals = ["x"]
+        for fault in faults(site):
+            assert fault.where
+            assert (fault.where + fault.message).isascii()
+    assert all(where.partition(":")[0] == "x" for where in refusals)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=3, max_size=6),
+    st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=3, max_size=6),
+)
+def test_any_two_outlines_are_judged(one: Any, other: Any) -> None:
+    """Corners twice, edges of no length, outlines on one line: a fault, never an exception."""
+    dock = {**PLAIN["regions"]["dock"], "names": []}
+    child = {**dock, "points": other, "within": "a"}
+    regions = {"a": {**dock, "points": one}, "b": {**dock, "points": other}, "c": child}
+    whole = {**PLAIN, "regions": regions, "doors": [{"between": ["a", "b"], "at": [0, 0]}]}
+    site = parse_site(json.dumps(whole), where="x")
+    assert faults(site)  # the dock's approach lies far away
+    adjacent(site)

@@ -100,19 +100,12 @@ def check_uses(case: Case, indexed: IndexedGrant) -> Findings:
     if standing is None:
         return ()
     use = use_of(standing, grant.id)
-    found: list[Finding] = []
     taken = use.successes + (in_flight(standing, grant.id) if standing.open else 0)
-    if taken >= grant.repeat:
-        found.append(
-            Finding("grant.repeat", Reason.REPEAT_EXHAUSTED, f"under {grant.repeat}", str(taken))
-        )
-    if use.starts >= grant.starts:
-        found.append(
-            Finding(
-                "grant.starts", Reason.STARTS_EXHAUSTED, f"under {grant.starts}", str(use.starts)
-            )
-        )
-    return tuple(found)
+    held = (
+        ("grant.repeat", Reason.REPEAT_EXHAUSTED, taken, grant.repeat),
+        ("grant.starts", Reason.STARTS_EXHAUSTED, use.starts, grant.starts),
+    )
+    return tuple([Finding(f, why, f"under {m}", str(n)) for f, why, n, m in held if n >= m])
 
 
 def check_budgets(case: Case, indexed: IndexedGrant) -> Findings:

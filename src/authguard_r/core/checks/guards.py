@@ -70,7 +70,6 @@ def unfit_finding(
 
 
 def _holds(guard: Guard, value: object) -> bool:
-    equality = guard.comparison in {Comparison.EQ, Comparison.NE}
-    if type(value) is not type(guard.value) or not (equality or type(value) is int):
-        return False
-    return _HOLDS[guard.comparison](value, guard.value)
+    ordered = type(value) is int or guard.comparison in {Comparison.EQ, Comparison.NE}
+    same = type(value) is type(guard.value)
+    return same and ordered and _HOLDS[guard.comparison](value, guard.value)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard mission draft`: from a sentence to a draft that `mission compile` takes."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+import yaml
+
+from authguard_r.cli.ask import AnswerOption, NoInputFlag, may_ask
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
+from authguard_r.cli.out import emit
+from authguard_r.compile.draft import Draft
+from authguard_r.core.errors import MalformedError
+from authguard_r.drafting.profile import read_profile
+from authguard_r.drafting.proposal import Proposal, Proposer, Question, clarification
+from authguard_r.drafting.template import TemplateProposer
+from authguard_r.normalize.parse import read_json
+from authguard_r.site.source import convert, read_text
+
+
+class ProposerName(StrEnum):
+    """Who may propose."""
+
+    TEMPLATE = "template"
+    OPENAI = "openai"
+    ANTHROPIC = "anthropic"
+
+
+def draft_command(
+    sentence: Annotated[str, typer.Argument(help="What the robot should do.")],
+    site: SiteOption,
+    robot: Annotated[str | None, typer.Option("--robot", help="Which robot is meant.")] = None,
+    issuer: Annotated[str | None, typer.Option("--issuer", help="Who will sign.")] = None,
+    answer: AnswerOption = None,
+    proposer: Annotated[
+        ProposerName, typer.Option("--proposer", help="The grammar, or a language model.")
+    ] = ProposerName.TEMPLATE,
+    base_url: Annotated[
+        str | None, typer.Option("--base-url", help="The model server; nothing else is spoken to.")
+    ] = None,
+    model: Annotated[str | None, typer.Option("--model", help="The model's name there.")] = None,
+    api_key_env: Annotated[
+        str | None, typer.Option("--api-key-env", help="Environment variable with the key.")
+    ] = None,
+    profile: Annotated[
+        Path | None, typer.Option("--profile", help="Defaults of your own (YAML).")
+    ] = None,
+    now: NowOption = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write the draft.")] = None,
+    no_input: NoInputFlag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Propose a draft for a sentence, or ask what only a person can say (exit 3)."""
+    place = load_site(site)
+    settled = _answers(answer or [])
+    if issuer is not None:
+        settled["issuer"] = issuer
+    if proposer is ProposerName.TEMPLATE:
+        text = None if profile is None else read_text(profile)
+        chosen: Proposer = TemplateProposer(read_profile(text), wall_now(now).utc_ms)
+    else:
+        chosen = _model(proposer, base_url, model, api_key_env)
+    asks = may_ask(as_json=as_json, no_input=no_input)
+    while True:
+        proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
+        if not proposal.questions:
+            break
+        if not asks:
+            raise clarification(proposal.questions)
+        settled |= {question.field: _prompt(question) for question in proposal.questions}
+    return _show(proposal, out, as_json=as_json)
+
+
+def _show(proposal: Proposal, out: Path | None, *, as_json: bool) -> int:
+    """Write the draft, or print it where no file was named; what was assumed is always said."""
+    text = yaml.safe_dump(proposal.draft, sort_keys=False, allow_unicode=True, width=100)
+    noted = [f"assumed {item.field}: {item.value} ({item.why})" for item in proposal.assumed]
+    head = [f"proposed by {proposal.proposer}; it authorizes nothing until it is signed", *noted]
+    comments = "".join(f"# {_one_line(line)}\n" for line in head)
+    if out is not None:
+        out.write_text(comments + text, encoding="utf-8")
+    payload = {
+        "file": None if out is None else str(out),
+        "proposer": proposal.proposer,
+        "draft": proposal.draft,
+        "assumed": [msgspec.to_builtins(item) for item in proposal.assumed],
+    }
+    lines = (comments + text).splitlines() if out is None else [str(out), *head]
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+def _one_line(text: str) -> str:
+    """Return text that cannot leave its comment line."""
+    return " ".join(text.split())
+
+
+def _answers(given: list[str]) -> dict[str, str]:
+    """Return answers by field.
+
+    Raises:
+        MalformedError: no `field=value`, or one field twice.
+    """
+    found: dict[str, str] = {}
+    for item in given:
+        field, parted, value = item.partition("=")
+        if not parted or not field.strip() or not value.strip():
+            raise MalformedError(f"expected field=value, got `{item}`", where="--answer")
+        if field.strip() in found:
+            raise MalformedError(f"expected one answer to `{field}`", where="--answer")
+        found[field.strip()] = value.strip()
+    return found
+
+
+def _prompt(question: Question) -> str:
+    """Return a person's answer, by number or in words; an empty one is asked for again."""
+    typer.echo(f"{question.question} ({question.field})", err=True)
+    for number, candidate in enumerate(question.candidates, 1):
+        typer.echo(f"  {number}) {candidate}", err=True)
+    while True:
+        said = str(typer.prompt("answer", err=True)).strip()
+        if said.isdecimal() and said.isascii() and 1 <= int(said) <= len(question.candidates):
+            return question.candidates[int(said) - 1]
+        if said and (not question.candidates or said in question.candidates):
+            return said
+        typer.echo(f"expected one of {', '.join(question.candidates)}", err=True)
+
+
+def _model(
+    name: ProposerName, base_url: str | None, model: str | None, api_key_env: str | None
+) -> Proposer:
+    """Return the language-model proposer that was asked for."""
+    from authguard_r.drafting.models import AnthropicProposer, OpenAIProposer
+
+    if base_url is None or model is None:
+        raise typer.BadParameter(f"--proposer {name} needs --base-url and --model")
+    kind = OpenAIProposer if name is ProposerName.OPENAI else AnthropicProposer
+    return kind(
+        base_url=base_url,
+        model=model,
+        api_key_env=api_key_env,
+        schema=draft_schema(),
+        read=read_reply,
+        check=check_draft,
+    )
+
+
+def draft_schema() -> dict[str, Any]:
+    """Return the JSON schema of a draft, for a model to see."""
+    return msgspec.json.schema(Draft)
+
+
+def read_reply(text: str) -> object:
+    """Return the value that a model's bare JSON spells; prose around it is refused (L12)."""
+    return read_json(text, where="reply")
+
+
+def check_draft(plain: object) -> Draft:
+    """Return plain data as a draft, strictly."""
+    return convert(plain, Draft, where="reply")

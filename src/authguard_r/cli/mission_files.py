@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mission files as the commands read and write them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from authguard_r.compile.lint import LintFinding
+from authguard_r.core.encoding import Tag, decode, digest_of, unb64
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.mission import Mission, require_schema
+from authguard_r.core.token import read_token
+from authguard_r.keys.trust import read_file
+
+
+def read_unverified(path: Path) -> Mission:
+    """Return a mission from `compile`'s file or from a token: schema-valid, its signature unread.
+
+    Raises:
+        MalformedError: neither.
+    """
+    data = read_file(path)
+    if b'"endorsements"' in data:
+        data = unb64(read_token(data).payload, where="token.payload")
+    mission = decode(data.removesuffix(b"\n"), Mission, where="mission")
+    require_schema(mission)
+    return mission
+
+
+def mission_digest(mission: Mission) -> Digest:
+    """Return the digest that a signature over the mission binds."""
+    return digest_of(Tag.MISSION, mission)
+
+
+def lint_json(findings: tuple[LintFinding, ...]) -> list[Any]:
+    """Return findings as they are printed."""
+    return [msgspec.to_builtins(finding) for finding in findings]
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that a reader finds all of it or what was there before.
+
+    Raises:
+        OSError: nothing took its place.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with new.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The record of a signature being meant: what was shown, to whom, when, and what was accepted.
+
+It lies beside the token and goes, sealed, into the log with the activation. It proves nothing by
+itself and no check of an action reads it; the signature is the authority. How-to:
+docs/howto/missions.md
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Literal
+
+from msgspec import Struct
+
+from authguard_r.compile.findings import Code
+from authguard_r.core.encoding import Tag, decode, digest_of, encode
+from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.identifiers import Count, Digest, MissionId, Positive, PrincipalId
+from authguard_r.core.mission import Mission
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+
+
+class How(StrEnum):
+    """Whether a person was asked, or a script went ahead."""
+
+    INTERACTIVE = "interactive"
+    SCRIPT = "script"
+
+
+class Confirmation(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
+    """One confirmation, as it is stored.
+
+    Args:
+        schema: version of this record.
+        mission: digest of the mission that was signed.
+        mid: its name.
+        version: its version.
+        request: its task, in the operator's words.
+        by: who signed, as the mission names them.
+        at_ms: the signing machine's clock, milliseconds since 1970; nobody attests it.
+        how: whether anybody was asked.
+        card: digest of the card that was shown; absent when none was, and no lint either.
+        accepted: codes of lint errors that the signer accepted by name, sorted.
+    """
+
+    schema: Literal["authguard-r/confirmation/1"]
+    mission: Digest
+    mid: MissionId
+    version: Positive
+    request: str
+    by: PrincipalId
+    at_ms: Count
+    how: How
+    card: Digest | None = None
+    accepted: tuple[Code, ...] = ()
+
+
+def confirm(
+    mission: Mission, *, card: Digest | None, how: How, accepted: tuple[Code, ...], now: Now
+) -> Confirmation:
+    """Return the record of a mission being signed now."""
+    return Confirmation(
+        schema="authguard-r/confirmation/1",
+        mission=digest_of(Tag.MISSION, mission),
+        mid=mission.mid,
+        version=mission.version,
+        request=mission.task,
+        by=mission.issuer,
+        at_ms=now.utc_ms,
+        how=how,
+        card=card,
+        accepted=tuple(sorted(accepted)),
+    )
+
+
+def confirmation_bytes(confirmation: Confirmation) -> bytes:
+    """Return the canonical bytes, with a final newline for files."""
+    return encode(confirmation) + b"\n"
+
+
+def read_confirmation(data: bytes, *, mission: Mission) -> Confirmation:
+    """Return the confirmation in a file, of this very mission.
+
+    Args:
+        data: the file's bytes, from anyone.
+        mission: the verified mission that it must be of.
+
+    Raises:
+        MalformedError: not a canonical confirmation.
+        RefusedError: the confirmation of another mission.
+    """
+    found = decode(data.removesuffix(b"\n"), Confirmation, where="confirmation")
+    if list(found.accepted) != sorted(set(found.accepted)):
+        raise MalformedError("expected a sorted set", where="confirmation.accepted")
+    if found != confirm(
+        mission,
+        card=found.card,
+        how=found.how,
+        accepted=found.accepted,
+        now=Now(found.at_ms, 0),
+    ):
+        raise RefusedError(
+            f"expected the confirmation of `{mission.mid}` version {mission.version}, as signed",
+            reason=Reason.META_MISMATCH,
+            where="confirmation",
+        )
+    return found
+
+
+def signed_inputs(token: bytes, confirmation: bytes | None, mission: Mission) -> dict[str, object]:
+    """Return what an activation's record seals: the token, and the confirmation when there is one.
+
+    Raises:
+        MalformedError: the confirmation is none.
+        RefusedError: it is of another mission.
+    """
+    inputs: dict[str, object] = {"token": token.decode("ascii").strip()}
+    if confirmation is not None:
+        inputs["confirmation"] = read_confirmation(confirmation, mission=mission)
+    return inputs

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lint: what a careful reader would ask about a mission before signing it.
+
+The enforcer carries out whatever was signed, an unguarded return to base included; so the
+question belongs here. No finding changes the mission. Source: section "Mission Compilation and
+Clarification", the return-to-base case. Spec page: docs/spec/lint.md
+"""
+
+from __future__ import annotations
+
+from authguard_r.compile.findings import (
+    Code,
+    LintFinding,
+    Measures,
+    Scene,
+    Severity,
+    error,
+)
+from authguard_r.compile.lint_bounds import BOUND_RULES
+from authguard_r.compile.lint_matches import MATCH_RULES
+from authguard_r.compile.lint_scope import SCOPE_RULES
+from authguard_r.compile.wording import words_of
+from authguard_r.compile.worst import facts_for
+from authguard_r.core.mission import Mission
+from authguard_r.site.model import Site, site_digest
+
+DEFAULT = Measures()
+
+
+def lint(mission: Mission, site: Site, measures: Measures = DEFAULT) -> tuple[LintFinding, ...]:
+    """Return what a signer should look at, errors first, else in the order of the mission.
+
+    Args:
+        mission: the very structure that is to be signed; schema-valid.
+        site: the site that it binds.
+        measures: where the lines are drawn.
+    """
+    facts = facts_for(mission, site)
+    if mission.site != site_digest(site) or facts is None:
+        return (
+            error(
+                Code.SITE_DIFFERS,
+                "site" if mission.site != site_digest(site) else "profile",
+                "the mission was compiled for another site model or capability profile",
+                "compile the draft again for this site",
+            ),
+        )
+    task = words_of(mission.task)
+    scene = Scene(mission=mission, site=site, facts=facts, measures=measures, task=task)
+    found = [
+        finding for rule in (*SCOPE_RULES, *BOUND_RULES, *MATCH_RULES) for finding in rule(scene)
+    ]
+    return tuple(sorted(found, key=lambda finding: finding.severity is not Severity.ERROR))
+
+
+def errors(findings: tuple[LintFinding, ...]) -> tuple[Code, ...]:
+    """Return the codes that a signer must accept by name, sorted."""
+    return tuple(sorted({f.code for f in findings if f.severity is Severity.ERROR}))
+
+
+def finding_lines(findings: tuple[LintFinding, ...]) -> list[str]:
+    """Return findings for people, each with its mend."""
+    return [
+        line
+        for item in findings
+        for line in (
+            f"{item.severity.upper():7} {item.code} at {item.where}: {item.message}",
+            f"        mend: {item.mend}",
+        )
+    ]
+
+
+__all__ = ["Code", "LintFinding", "Measures", "Severity", "errors", "finding_lines", "lint"]

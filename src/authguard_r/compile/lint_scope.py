@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lint rules about what is granted: to whom it turns out to be given, where, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from authguard_r.compile import wording
+from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
+from authguard_r.compile.path import SENSITIVE_TAGS
+from authguard_r.compile.worst import worst_risk
+from authguard_r.core.facts import ActionKind
+from authguard_r.core.identifiers import RegionId
+from authguard_r.core.mission import Grant, Row
+from authguard_r.core.provenance import Chooser
+from authguard_r.site.model import ActionModel
+
+Rule = Callable[[Scene], Iterator[LintFinding]]
+#: Types that hold a robot back from its work, whatever else they do.
+_IDLE = frozenset({"dock", "hold", "wait"})
+
+
+def unguarded_returns(scene: Scene) -> Iterator[LintFinding]:
+    """Returning, stopping and waiting end the work: who may cause them, and when?
+
+    Order (`after`) is held by the registry, so it is some condition; attested state is a better.
+    A guard on the whole mission says when its work may be done, not when it may be left; it counts
+    where there is no other work.
+    """
+    mission = scene.mission
+    leaving = [_abandons(grant, scene) for grant in mission.actions]
+    for number, grant in enumerate(mission.actions):
+        if not leaving[number] or grant.guards or (mission.guards and all(leaving)):
+            continue
+        place = f"actions[{number}].guards"
+        mend = "add a guard on attested state, such as a low battery or empty hands"
+        if grant.after:
+            message = f"only order holds `{grant.id}` back: no guard on trusted state"
+            yield warning(Code.UNGUARDED_RETURN, place, message, mend)
+        else:
+            message = f"`{grant.id}` may end the work at any time: no guard on trusted state"
+            yield error(Code.UNGUARDED_RETURN, place, message, mend)
+
+
+def _abandons(grant: Grant, scene: Scene) -> bool:
+    """True for waiting, docking, holding, and for going home or to an emergency place."""
+    kind = scene.facts.vocabulary.get(grant.type)
+    if grant.type in _IDLE or (kind is not None and kind.waits):
+        return True
+    refuges = {scene.site.robots[scene.mission.rid].home}
+    if scene.site.emergency is not None:
+        refuges |= set(scene.site.emergency.places)
+    moves = kind is not None and kind.moves
+    return moves and any(row.destination in refuges for row in grant.alternatives)
+
+
+def wider_than_task(scene: Scene) -> Iterator[LintFinding]:
+    """Whatever the task's words do not speak of, a signer should want on purpose."""
+    for number, grant in enumerate(scene.mission.actions):
+        place = f"actions[{number}]"
+        model = scene.site.vocabulary.get(grant.type)
+        if model is None:
+            continue
+        if not _speaks_of_type(grant, model, scene):
+            yield _unspoken(f"{place}.type", f"actions of type `{grant.type}`", grant)
+        yield from _unspoken_rows(place, grant, model, scene)
+        for right, used in (
+            ("record", model.records),
+            ("store", model.stores),
+            ("transmit", model.transmits),
+        ):
+            if (
+                used
+                and getattr(grant.data, right)
+                and not wording.asks_for_right(scene.task, right)
+            ):
+                yield _unspoken(f"{place}.data.{right}", f"a right to {right} sensor data", grant)
+
+
+def _speaks_of_type(grant: Grant, model: ActionModel, scene: Scene) -> bool:
+    """True when words ask for the type, or it is one that no words need to ask for.
+
+    Going somewhere is asked for by naming the place; what has no field and leaves no trace (a
+    look-out for obstacles) is how, not what.
+    """
+    if model.moves and "destination" in model.fields:
+        return True
+    acts = (model.fields, model.params, model.moves, model.waits, model.records, model.privacy)
+    return not any(acts) or wording.asks_for_type(scene.task, grant.type)
+
+
+def _unspoken_rows(
+    place: str, grant: Grant, model: ActionModel, scene: Scene
+) -> Iterator[LintFinding]:
+    for index, row in enumerate(grant.alternatives):
+        where = f"{place}.alternatives[{index}]"
+        if row.object is not None and not wording.mentions(
+            scene.task, wording.object_names(row.object, scene.site)
+        ):
+            yield _unspoken(f"{where}.object", f"`{row.object}`", grant)
+        region = row.source if row.destination is None and not model.moves else row.destination
+        if region is not None and not _speaks_of_region(region, grant, scene):
+            field = "destination" if row.destination is not None else "source"
+            yield _unspoken(f"{where}.{field}", f"`{region}`", grant)
+
+
+def _speaks_of_region(region: RegionId, grant: Grant, scene: Scene) -> bool:
+    """True when the region is named, holds what is named, or is the home that closing leads to."""
+    closing, site, task = scene.mission.closing, scene.site, scene.task
+    home = site.robots[scene.mission.rid].home
+    if region == home and closing is not None and grant.id in closing.grants:
+        return True
+    return wording.mentions(task, wording.region_names(region, site)) or any(
+        model.home == region and wording.mentions(task, wording.object_names(item, site))
+        for item, model in site.objects.items()
+    )
+
+
+def _unspoken(where: str, what: str, grant: Grant) -> LintFinding:
+    return warning(
+        Code.WIDER_THAN_TASK,
+        where,
+        f"`{grant.id}` grants {what}, which the task does not speak of",
+        "leave it out, or say it in the task",
+    )
+
+
+def through_sensitive(scene: Scene) -> Iterator[LintFinding]:
+    """A way through a private, restricted or hazardous region is granted only by name."""
+    for number, grant in enumerate(scene.mission.actions):
+        for index, row in enumerate(grant.alternatives):
+            for region in row.regions:
+                tags = _sensitive_tags(region, scene)
+                spoken = wording.mentions(scene.task, wording.region_names(region, scene.site))
+                if not tags or region in {row.source, row.destination} or spoken:
+                    continue
+                yield error(
+                    Code.THROUGH_SENSITIVE,
+                    f"actions[{number}].alternatives[{index}].regions",
+                    f"`{grant.id}` may pass through `{region}` ({', '.join(tags)})",
+                    "leave the region out, or name it in the task",
+                )
+
+
+def _sensitive_tags(region: RegionId, scene: Scene) -> list[str]:
+    known = scene.facts.regions.get(region)
+    return sorted(SENSITIVE_TAGS & known.tags) if known is not None else []
+
+
+def planner_chooses_risk(scene: Scene) -> Iterator[LintFinding]:
+    """`chooser: planner` accepts every row, also one that an attacker picks."""
+    for number, grant in enumerate(scene.mission.actions):
+        if (
+            grant.chooser is Chooser.PLANNER
+            and len({_risk(r, grant, scene) for r in grant.alternatives}) > 1
+        ):
+            yield warning(
+                Code.PLANNER_CHOOSES_RISK,
+                f"actions[{number}].chooser",
+                f"whoever steers the planner picks among rows of `{grant.id}` of different risk",
+                "let the operator or a supervisor choose, or split the rows into grants",
+            )
+
+
+def _risk(row: Row, grant: Grant, scene: Scene) -> tuple[int, frozenset[str], str]:
+    """Return what makes rows differ in risk: the score, the regions' tags, the object's class."""
+    regions = scene.facts.regions
+    tags = frozenset(tag for r in row.regions if r in regions for tag in regions[r].tags)
+    kind = "" if row.object is None else scene.facts.objects.get(row.object, "")
+    return worst_risk(scene.mission, grant, row, scene.facts), tags, kind
+
+
+def never_asks(scene: Scene) -> Iterator[LintFinding]:
+    """A threshold above every risk that the mission can reach asks nobody, whatever happens."""
+    mission = scene.mission
+    highest = max(
+        worst_risk(mission, grant, row, scene.facts)
+        for grant in mission.actions
+        for row in grant.alternatives
+    )
+    if highest >= mission.risk_policy.tau_1:
+        return
+    risky = [f"`{grant.id}`" for grant in mission.actions if _is_sensitive(grant, scene)]
+    if risky:
+        yield error(
+            Code.NEVER_ASKS,
+            "risk_policy.tau_1",
+            f"no risk reaches {mission.risk_policy.tau_1} (the highest is {highest}), so nobody is "
+            f"asked about {', '.join(risky)}",
+            f"lower `tau_1` to {highest} or below, or raise the weights",
+        )
+
+
+def _is_sensitive(grant: Grant, scene: Scene) -> bool:
+    """True for what touches privacy, hazards, or presses hard."""
+    kind: ActionKind | None = scene.facts.vocabulary.get(grant.type)
+    if kind is not None and kind.privacy:
+        return True
+    most = scene.site.robots[scene.mission.rid].profile.max_force_mn
+    for item in grant.limits:
+        forceful = item.high * 100 >= most * scene.measures.forceful_percent
+        if item.parameter.startswith("force_") and forceful:
+            return True
+    return any(
+        any(_sensitive_tags(region, scene) for region in row.regions)
+        or (row.object is not None and scene.facts.objects.get(row.object) == "hazardous")
+        for row in grant.alternatives
+    )
+
+
+SCOPE_RULES: tuple[Rule, ...] = (
+    unguarded_returns,
+    wider_than_task,
+    through_sensitive,
+    planner_chooses_risk,
+    never_asks,
+)

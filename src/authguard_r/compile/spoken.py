@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signed values in the words of the person who signs them: exact, never rounded.
+
+Two values that differ never read alike, and no text of a mission can pass for a line of ours.
+"""
+
+from __future__ import annotations
+
+from authguard_r.core.identifiers import ParameterId, RegionId
+from authguard_r.core.mission import Comparison, Guard, Limit, Row
+from authguard_r.site.model import Site
+
+#: For each unit of signed data, the unit that people read and the power of ten between them.
+_READ: dict[str, tuple[str, int]] = {
+    "mm/s": ("m/s", 3),
+    "mm": ("m", 3),
+    "mN": ("N", 3),
+    "microradian": ("rad", 6),
+    "microradian/s": ("rad/s", 6),
+    "permille": ("%", 1),
+    "millikelvin": ("K", 3),
+    "milliliter": ("L", 3),
+    "g": ("kg", 3),
+}
+#: What the end of a state variable's name says of its unit.
+_ENDINGS = (
+    ("_permille", "permille"),
+    ("_mm_s", "mm/s"),
+    ("_mm", "mm"),
+    ("_mn", "mN"),
+    ("_ms", "ms"),
+    ("_g", "g"),
+)
+_BYTES = (("GB", 9), ("MB", 6), ("kB", 3))
+_COMPARED = {
+    Comparison.EQ: "is",
+    Comparison.NE: "is not",
+    Comparison.LT: "is below",
+    Comparison.LE: "is at most",
+    Comparison.GT: "is above",
+    Comparison.GE: "is at least",
+}
+
+
+def quantity(value: int, unit: str) -> str:
+    """Return a signed integer in the unit that people read: 800 of `mm/s` is `0.8 m/s`.
+
+    A unit that is not known here is shown as it is signed.
+    """
+    if unit in {"ms", "millisecond"}:
+        return duration(value)
+    if unit == "byte":
+        return _bytes(value)
+    if unit == "count":
+        return str(value)
+    shown, power = _READ.get(unit, (unit, 0))
+    return f"{_decimal(value, power)} {shown}"
+
+
+def duration(value: int) -> str:
+    """Return milliseconds as hours, minutes and seconds: 180000 is `3 min`."""
+    hours, rest = divmod(abs(value), 3_600_000)
+    minutes, rest = divmod(rest, 60_000)
+    parts = [f"{hours} h"] * bool(hours) + [f"{minutes} min"] * bool(minutes)
+    if rest or not parts:
+        parts.append(f"{_decimal(rest, 3)} s")
+    return "-" * (value < 0) + " ".join(parts)
+
+
+def limit(item: Limit, site: Site) -> str:
+    """Return bounds: `speed_mm_s from 0.05 m/s to 0.8 m/s`."""
+    unit = unit_of(item.parameter, site)
+    return f"{item.parameter} from {quantity(item.low, unit)} to {quantity(item.high, unit)}"
+
+
+def condition(guard: Guard) -> str:
+    """Return a condition on attested state, with how old the reading may be."""
+    value = guard.value
+    if isinstance(value, bool):
+        shown = str(value).upper()  # no identifier is upper case
+    elif isinstance(value, int):
+        unit = next((unit for end, unit in _ENDINGS if guard.variable.endswith(end)), "count")
+        shown = quantity(value, unit)
+    else:
+        shown = f'"{value}"'
+    age = duration(guard.max_age_ms)
+    return f"{guard.variable} {_COMPARED[guard.comparison]} {shown}, read at most {age} ago"
+
+
+def row(item: Row, site: Site) -> str:
+    """Return one alternative, with the regions and things in it that are not harmless."""
+    parts = [str(item.object)] if item.object is not None else []
+    places = [("from", item.source), ("to", item.destination)]
+    way = " ".join(f"{word} {region}" for word, region in places if region is not None)
+    parts += [way] if way else []
+    parts += [f"within {', '.join(item.regions)}"] if item.regions else ["at any place"]
+    marks = [
+        f"{tag.upper()}: {region}"
+        for region in item.regions
+        for tag in tags_of(region, site)
+        if tag in {"private", "restricted", "hazardous"}
+    ]
+    if item.object in site.objects and site.objects[item.object].kind == "hazardous":
+        marks.append(f"HAZARDOUS: {item.object}")
+    return ", ".join(parts) + (f"  [{', '.join(marks)}]" if marks else "")
+
+
+def times(count: int) -> str:
+    """Return how often: `once`, `20 times`."""
+    return "once" if count == 1 else f"{count} times"
+
+
+def quoted(text: str) -> str:
+    """Return free text on one line, between quotes, every mark that does not print spelled out.
+
+    A task cannot end its line and go on as a line of the card, nor turn the reading direction.
+    """
+    marks = (
+        mark if mark.isprintable() and mark not in {'"', "\\"} else f"\\u{{{ord(mark):x}}}"
+        for mark in text
+    )
+    return f'"{"".join(marks)}"'
+
+
+def unit_of(parameter: ParameterId, site: Site) -> str:
+    """Return a parameter's unit at this site; a bare number when it has none here."""
+    for kind in site.vocabulary.values():
+        model = kind.params.get(parameter)
+        if model is not None:
+            return model.unit
+    return "count"
+
+
+def tags_of(region: RegionId, site: Site) -> tuple[str, ...]:
+    """Return a region's tags, none when the site does not know it."""
+    model = site.regions.get(region)
+    return () if model is None else model.tags
+
+
+def _bytes(value: int) -> str:
+    for shown, power in _BYTES:
+        if value >= 10**power:
+            return f"{_decimal(value, power)} {shown}"
+    return f"{value} bytes"
+
+
+def _decimal(value: int, power: int) -> str:
+    """Return the value divided by a power of ten, every digit of it."""
+    whole, rest = divmod(abs(value), 10**power)
+    digits = f"{rest:0{power}}".rstrip("0") if rest else ""
+    return "-" * (value < 0) + str(whole) + (f".{digits}" if digits else "")

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How risky a row can get at all: at its upper bounds, through every region it may touch.
+
+Read by the lint and the card. What nobody can attest counts as risky, as in `core.risk`.
+Source: `eq:threshold`. Spec page: docs/spec/lint.md
+"""
+
+from __future__ import annotations
+
+from authguard_r.core.action import Action
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.mission import Grant, Mission, Row
+from authguard_r.core.quantities import Now
+from authguard_r.core.risk import rho
+from authguard_r.site.model import Site, facts_of
+
+
+def facts_for(mission: Mission, site: Site) -> SiteFacts | None:
+    """Return the site as the mission's gate reads it; None when it has no such robot."""
+    try:
+        return facts_of(site, rid=mission.rid, profile=mission.profile)
+    except EnvironmentFault:
+        return None
+
+
+def worst_risk(mission: Mission, grant: Grant, row: Row, facts: SiteFacts) -> int:
+    """Return the greatest rho of any action that the row allows."""
+    action = Action(
+        type=grant.type,
+        tool=grant.tool,
+        object=row.object,
+        source=row.source,
+        destination=row.destination,
+        route=row.regions,
+        params={limit.parameter: limit.high for limit in grant.limits},
+    )
+    return rho(action, mission.risk_policy, state=None, facts=facts, now=Now(0, 0))

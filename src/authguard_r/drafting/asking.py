@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Questions, answers and assumptions of one run, kept in the order of the sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.drafting.proposal import Assumption, Question
+
+
+class Asking:
+    """What is settled, what is open, and what was assumed.
+
+    Args:
+        settled: answers by field, as the operator gave them.
+    """
+
+    def __init__(self, settled: Mapping[str, str]) -> None:
+        self._settled = dict(settled)
+        self._used: set[str] = set()
+        self.questions: list[Question] = []
+        self.assumed: list[Assumption] = []
+
+    def ask(self, field: str, question: str, candidates: Iterable[str] = ()) -> str | None:
+        """Return the answer to a question, or None once the question is kept.
+
+        Raises:
+            MalformedError: an answer that is none of the candidates.
+        """
+        known = tuple(candidates)
+        answer = self.answer(field)
+        if answer is None:
+            asked = Question(field, question, known)
+            if asked.field not in {item.field for item in self.questions}:
+                self.questions.append(asked)
+            return None
+        if known and answer not in known:
+            raise MalformedError(
+                f"expected one of {', '.join(f'`{item}`' for item in known)}, got `{answer}`",
+                where=field,
+                reason=Reason.VALUE_INVALID,
+            )
+        return answer
+
+    def insist(self, field: str, question: str) -> None:
+        """Keep a question that only another sentence can settle."""
+        self._used.add(field)
+        if field not in {item.field for item in self.questions}:
+            self.questions.append(Question(field, question))
+
+    def answer(self, field: str) -> str | None:
+        """Return what was answered for a field; None when nothing was."""
+        self._used.add(field)
+        return self._settled.get(field)
+
+    def assume(self, field: str, value: object, why: str) -> None:
+        """Keep what the sentence did not say, once."""
+        item = Assumption(field, str(value), why)
+        if item not in self.assumed:
+            self.assumed.append(item)
+
+    def require_used(self) -> None:
+        """Refuse an answer to a question that nobody asked.
+
+        Raises:
+            MalformedError: with the field.
+        """
+        for field in self._settled:
+            if field not in self._used and not self.questions:
+                raise MalformedError(
+                    "expected an answer to a question that was asked",
+                    where=field,
+                    reason=Reason.FIELD_UNKNOWN,
+                )

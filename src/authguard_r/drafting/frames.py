@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The words of the grammar itself: verbs with their frames, prepositions, and what is mere filler.
+
+A word is here because the grammar knows what it grants or that it grants nothing. Everything else
+in a sentence is a name of the site, a quantity, or a question.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from types import MappingProxyType
+
+from msgspec import Struct
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+class Frame(StrEnum):
+    """What a clause asks for."""
+
+    DELIVER = "deliver"
+    FETCH = "fetch"
+    PICK = "pick"
+    PUT = "put"
+    DROP = "drop"
+    THROW = "throw"
+    GO = "go"
+    PATROL = "patrol"
+    GUIDE = "guide"
+    RETURN = "return"
+    WAIT = "wait"
+    INSPECT = "inspect"
+    PHOTO = "take_photo"
+    RECORD = "record_video"
+    FIND = "find"
+    TURN = "turn"
+    POUR = "pour"
+    FILL = "fill"
+    HEAT = "heat"
+    LEAVE = "leave"
+    OPEN = "open"
+    CLOSE = "close"
+    SLICE = "slice"
+    BREAK = "break"
+    COOK = "cook"
+    CLEAN = "clean"
+    DIRTY = "dirty"
+    EMPTY = "empty"
+    USE_UP = "use_up"
+
+
+class Verb(Struct, frozen=True):
+    """One wording of a frame; `state` is what `turn on` and `turn off` differ by."""
+
+    frame: Frame
+    state: str = ""
+
+
+#: Frames that act on one thing where it is: the action type has the frame's own name.
+PLAIN = frozenset(
+    {
+        Frame.OPEN,
+        Frame.CLOSE,
+        Frame.SLICE,
+        Frame.BREAK,
+        Frame.COOK,
+        Frame.CLEAN,
+        Frame.DIRTY,
+        Frame.EMPTY,
+        Frame.USE_UP,
+    }
+)
+
+_WORDINGS: dict[Frame, str] = {
+    Frame.DELIVER: "deliver, bring, carry, transport, hand over, take, move",
+    Frame.FETCH: "fetch, get, collect, retrieve",
+    Frame.PICK: "pick up, pick, grab, grasp, lift, pick it up",
+    Frame.PUT: "put down, put, place, set down, set, insert, lay",
+    Frame.DROP: "drop",
+    Frame.THROW: "throw, toss, hurl",
+    Frame.GO: "go, drive, navigate, head, travel, proceed, come, go back, drive back",
+    Frame.PATROL: "patrol, make a round of, make rounds of",
+    Frame.GUIDE: "guide, lead, escort, accompany, show",
+    Frame.RETURN: "return, come home, go home, drive home, go back home",
+    Frame.WAIT: "wait, pause",
+    Frame.INSPECT: "inspect, check, examine, look at, have a look at",
+    Frame.PHOTO: "photograph, take a photo of, take a picture of, take photos of, take a photo",
+    Frame.RECORD: "record, film, record a video of, take a video of, make a video of",
+    Frame.FIND: "find, locate, look for",
+    Frame.TURN: "turn, switch, toggle, power",
+    Frame.POUR: "pour",
+    Frame.FILL: "fill, fillliquid, fill up",
+    Frame.HEAT: "heat, heat up, warm, warm up",
+    Frame.LEAVE: "leave",
+    Frame.OPEN: "open",
+    Frame.CLOSE: "close, shut",
+    Frame.SLICE: "slice, cut, chop",
+    Frame.BREAK: "break, smash, shatter",
+    Frame.COOK: "cook",
+    Frame.CLEAN: "clean, wash, wipe",
+    Frame.DIRTY: "dirty, soil",
+    Frame.EMPTY: "empty",
+    Frame.USE_UP: "use up",
+}
+_STATES = {
+    "on": "turn on, switch on, toggle on, power on, start, light, ignite, activate",
+    "off": "turn off, switch off, toggle off, power off, extinguish, deactivate",
+}
+
+
+def _verbs() -> Mapping[tuple[str, ...], Verb]:
+    found = {
+        tuple(wording.split()): Verb(frame)
+        for frame, wordings in _WORDINGS.items()
+        for wording in wordings.split(", ")
+    }
+    for state, wordings in _STATES.items():
+        for wording in wordings.split(", "):
+            found[tuple(wording.split())] = Verb(Frame.TURN, state)
+    return MappingProxyType(found)
+
+
+#: Every wording, word by word in lower case.
+VERBS = _verbs()
+LONGEST_VERB = max(map(len, VERBS))
+
+#: A preposition and the role of what follows it.
+ROLES: Mapping[str, str] = MappingProxyType(
+    {
+        **dict.fromkeys(_words("to into onto in on inside at over under"), "to"),
+        "from": "from",
+        "with": "with",
+        "using": "with",
+        "of": "object",
+    }
+)
+#: Words that may stand between phrases and settle nothing.
+FILLERS = _words("the a an please also its robot kindly your")
+#: Words that part two clauses; a list goes on after them, or a new clause begins.
+BOUNDARIES = _words("and then next finally afterwards afterward , ; . ! ?")
+#: Openings that ask politely.
+OPENINGS: tuple[tuple[str, ...], ...] = (
+    ("can", "you"),
+    ("could", "you"),
+    ("would", "you"),
+    ("i", "want", "you", "to"),
+    ("you", "should"),
+    ("make", "sure", "to"),
+)
+#: Frame words without authority: `pick it up`, `a video of`, `guide the visitor`.
+EXTRAS: Mapping[Frame, frozenset[str]] = MappingProxyType(
+    {
+        Frame.PICK: frozenset({"up"}),
+        Frame.PUT: frozenset({"down", "back"}),
+        Frame.GO: frozenset({"back", "over"}),
+        Frame.RETURN: frozenset({"back"}),
+        Frame.LEAVE: _words("there running closed open on off unattended position"),
+        Frame.GUIDE: _words(
+            "visitor visitors guest guests patient patients person people me us them"
+        ),
+        Frame.PHOTO: frozenset({"photo", "photos", "picture", "pictures", "image", "images"}),
+        Frame.RECORD: frozenset({"video", "footage"}),
+        Frame.DELIVER: frozenset({"over"}),
+    }
+)
+PRONOUNS = frozenset({"it", "them", "this", "that", "these", "those"})
+#: Words that take back or limit what was said; leaving one out would widen the sentence.
+LIMITING = _words(
+    "not no never none nothing nor don't doesn't cannot can't without unless except but only "
+    "instead avoid avoiding if when while until till after before once as or either least faster"
+)
+#: A part of a thing that stands for the thing: `close the door` of the one thing that has one.
+PARTS = frozenset({"door", "lid"})
+#: Manners that the profile turns into tighter bounds; no manner ever loosens one.
+CAREFUL = _words("gently carefully softly slowly securely safely")
+COUNTS: Mapping[str, int] = MappingProxyType({"once": 1, "twice": 2, "thrice": 3})
+#: Words for the place that a robot returns to.
+HOMES = frozenset({"base", "home"})
+#: What introduces a quantity that bounds from above, longest first, and the limit that it names.
+BOUNDS: tuple[tuple[tuple[str, ...], str], ...] = tuple(
+    (tuple(words.split()), meant)
+    for words, meant in (
+        ("at a maximum speed of", "speed"),
+        ("with a maximum speed of", "speed"),
+        ("with a maximum force of", "force"),
+        ("at a speed of", "speed"),
+        ("with a speed of", "speed"),
+        ("with a force of", "force"),
+        ("not faster than", "speed"),
+        ("no faster than", "speed"),
+        ("slower than", "speed"),
+        ("with at most", ""),
+        ("using at most", ""),
+        ("not more than", ""),
+        ("no more than", ""),
+        ("for up to", "duration"),
+        ("for at most", "duration"),
+        ("at up to", ""),
+        ("at most", ""),
+        ("at speed", "speed"),
+        ("with force", "force"),
+        ("up to", ""),
+        ("speed", "speed"),
+        ("force", "force"),
+        ("with", ""),
+        ("for", "duration"),
+        ("at", "at"),
+    )
+)
+RIGHTS: Mapping[str, str] = MappingProxyType(
+    {
+        **dict.fromkeys(_words("record recording recordings"), "record"),
+        **dict.fromkeys(_words("store storing storage keep keeping save saving"), "store"),
+        **dict.fromkeys(
+            _words("transmit transmitting transmission send sending share sharing"),
+            "transmit",
+        ),
+    }
+)
+DENIALS: tuple[tuple[str, ...], ...] = (("do", "not"), ("don't",), ("without",), ("no",), ("not",))
+ALLOWANCES: tuple[tuple[str, ...], ...] = (("with",), ("allow",), ("you", "may"))
+
+
+def reserved() -> frozenset[str]:
+    """Return the words that a name of the site cannot take away from the grammar."""
+    groups = (FILLERS, BOUNDARIES, ROLES, PRONOUNS, CAREFUL, COUNTS, ("on", "off"))
+    return frozenset(word for group in groups for word in group)
+
+
+def gerund(word: str) -> tuple[str, ...]:
+    """Return the verbs that an `-ing` form can come from: `turning` is `turn` or `turne`."""
+    if not word.endswith("ing") or len(word) < 6:
+        return ()
+    stem = word[:-3]
+    doubled = (stem[:-1],) if stem[-1] == stem[-2] else ()
+    return (stem, stem + "e", *doubled)

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a phrase to the one thing that it means, or the question which one.
+
+Nothing is chosen among two: a name with several owners, a pronoun with several antecedents and a
+slot that nothing fills are asked about, with everything that the site has for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from authguard_r.drafting.asking import Asking
+from authguard_r.drafting.clauses import Clause, Phrase, Sentence, Way
+from authguard_r.drafting.frames import LIMITING
+from authguard_r.drafting.lexicon import Ref, Sort
+from authguard_r.drafting.profile import Profile
+from authguard_r.site.model import Site
+
+OBJECTS = (Sort.OBJECT,)
+REGIONS = (Sort.REGION,)
+ANY = (Sort.REGION, Sort.OBJECT)
+
+
+def field_of(clause: Clause, slot: str) -> str:
+    """Return the name that a question about a slot has, and its answer."""
+    return slot if clause.number == 1 else f"step{clause.number}.{slot}"
+
+
+class Resolver:
+    """Resolves the phrases of one sentence at one site."""
+
+    def __init__(self, site: Site, sentence: Sentence, profile: Profile, asking: Asking) -> None:
+        self._site = site
+        self._sentence = sentence
+        self._profile = profile
+        self._asking = asking
+        self._meant: dict[int, Ref] = {}
+        self._read: set[tuple[int, str]] = set()
+
+    def one(
+        self, clause: Clause, role: str, slot: str, sorts: tuple[Sort, ...], *, able: str = ""
+    ) -> Ref | None:
+        """Return the one thing in a role, or None once it is asked for.
+
+        Args:
+            clause: the clause.
+            role: where the phrase stands.
+            slot: the field of the question.
+            sorts: what it may be.
+            able: what a pronoun's antecedent must lend itself to.
+        """
+        phrases = self.read(clause, role)
+        if len(phrases) != 1:
+            every = self._everything(sorts)
+            if phrases:
+                found = [self._options(phrase, sorts) or () for phrase in phrases]
+                every = tuple(dict.fromkeys(ref for refs in found for ref in refs))
+            return self._ask(clause, slot, f"Which {slot} is meant?", every)
+        return self.thing(clause, phrases[0], slot, sorts, able=able)
+
+    def each(
+        self, clause: Clause, role: str, slot: str, sorts: tuple[Sort, ...], *, able: str = ""
+    ) -> list[Ref]:
+        """Return the things in a role that may hold several; a question for each open one."""
+        phrases = self.read(clause, role)
+        if not phrases:
+            found = [self._ask(clause, slot, f"Which {slot} is meant?", self._everything(sorts))]
+        else:
+            found = [
+                self.thing(clause, phrase, slot if n == 0 else f"{slot}{n + 1}", sorts, able=able)
+                for n, phrase in enumerate(phrases)
+            ]
+        return [ref for ref in found if ref is not None]
+
+    def thing(
+        self, clause: Clause, phrase: Phrase, slot: str, sorts: tuple[Sort, ...], *, able: str = ""
+    ) -> Ref | None:
+        """Return what one phrase means, or None once it is asked about."""
+        options = self._options(phrase, sorts, able=able)
+        if options is None:
+            return None
+        field = field_of(clause, slot)
+        if len(options) == 1:
+            self._meant[phrase.number] = options[0]
+            if phrase.way is not Way.NAMED or not phrase.exact:
+                why = f"nothing else that `{phrase.text}` can mean here"
+                self._asking.assume(field, options[0].id, why)
+            return options[0]
+        question = f"Which {slot} does `{phrase.text}` mean?"
+        found = self._ask(clause, slot, question, options or self._everything(sorts))
+        if found is not None:
+            self._meant[phrase.number] = found
+        return found
+
+    def read(self, clause: Clause, role: str) -> list[Phrase]:
+        """Return the phrases in a role; from then on they count as used."""
+        self._read.add((clause.number, role))
+        return clause.roles.get(role, [])
+
+    def require_read(self, clause: Clause) -> None:
+        """Ask about phrases in roles that the clause's steps had no use for."""
+        for role, phrases in clause.roles.items():
+            if (clause.number, role) not in self._read:
+                for phrase in phrases:
+                    self.unknown(phrase.text)
+
+    def unknown(self, word: str) -> None:
+        """Ask about words without a meaning here: a condition could hide in them.
+
+        A word that turns a sentence round or limits it cannot be left out: what remains would
+        grant what was held back.
+        """
+        if LIMITING.intersection(word.lower().replace("\u2019", "'").split()):
+            self._asking.insist(
+                f"word.{word}",
+                f'the word "{word}" limits what was said in a way that is not understood: '
+                "say it otherwise",
+            )
+            return
+        answer = self._asking.ask(
+            f"word.{word}",
+            f'the word "{word}" is not understood: leave it out or say it otherwise',
+            ("leave it out",),
+        )
+        if answer is not None:
+            self._asking.assume(f"word.{word}", "left out", "answered")
+
+    def _options(
+        self, phrase: Phrase, sorts: tuple[Sort, ...], *, able: str = ""
+    ) -> tuple[Ref, ...] | None:
+        """Return what a phrase can mean; None while another open question decides it."""
+        if phrase.number in self._meant and self._meant[phrase.number].sort in sorts:
+            return (self._meant[phrase.number],)
+        if phrase.way is Way.NAMED:
+            return tuple(ref for ref in phrase.refs if ref.sort in sorts)
+        if phrase.way is not Way.PRONOUN:
+            able = "open"
+        found: list[Ref] = []
+        for other in self._sentence.phrases[: phrase.number]:
+            if other.clause == phrase.clause or other.way is not Way.NAMED:
+                continue
+            meant = self._meant.get(other.number)
+            options = (meant,) if meant is not None else other.refs
+            fitting = [ref for ref in options if ref.sort in sorts and self._fits(ref, able)]
+            if len(fitting) > 1:
+                return None
+            found += fitting
+        return tuple(dict.fromkeys(found))
+
+    def _fits(self, ref: Ref, able: str) -> bool:
+        """False when the site's class of an object says that the verb cannot mean it."""
+        if ref.sort is not Sort.OBJECT or not able:
+            return True
+        kind = self._site.objects[ref.id].kind  # type: ignore[index]
+        return able in self._profile.classes.get(kind, (able,))
+
+    def _everything(self, sorts: tuple[Sort, ...]) -> tuple[Ref, ...]:
+        known: dict[Sort, Iterable[str]] = {
+            Sort.OBJECT: self._site.objects,
+            Sort.REGION: self._site.regions,
+        }
+        return tuple(Ref(sort, item) for sort in sorts for item in sorted(known[sort]))
+
+    def _ask(
+        self, clause: Clause, slot: str, question: str, options: tuple[Ref, ...] | None
+    ) -> Ref | None:
+        """Ask which of the options is meant; a thing and a place of one id are told apart."""
+        ids = [ref.id for ref in options or ()]
+        named = {
+            ref.id if ids.count(ref.id) == 1 else f"{ref.sort} {ref.id}": ref
+            for ref in options or ()
+        }
+        answer = self._asking.ask(field_of(clause, slot), question, named)
+        return None if answer is None else named.get(answer)

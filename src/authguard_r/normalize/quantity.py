@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of planners and tools, to integers in the site's units and back, exactly.
+
+A planner's decimal is rounded against it; what a tool is given is never more than the integer
+that was authorized. Spec pages: docs/spec/normalize.md, docs/spec/binding.md#rebuilding
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+from fractions import Fraction
+from typing import Any
+
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import MAX_INTEGER
+from authguard_r.core.reasons import Reason
+from authguard_r.normalize.binding import Argument
+from authguard_r.site.model import Parameter, Rounding
+
+#: What a coordinate of a position is held to.
+COORDINATE = Parameter(
+    unit="mm", low=-MAX_INTEGER, high=MAX_INTEGER, rounding=Rounding.POSITION, required=True
+)
+
+
+def scale(
+    value: Any, parameter: Parameter, *, per_unit: Fraction, where: str, offset: int = 0
+) -> int:
+    """Return a planner's number as an integer in the parameter's unit, rounded against it.
+
+    Args:
+        value: an `int` or exact `Decimal`; truth values, text and everything else are refused.
+        parameter: the target.
+        per_unit: the target's units in one of the planner's.
+        where: the place, for messages.
+        offset: what is added, in the target's unit.
+
+    Raises:
+        MalformedError: not a number, a remainder in a count, or outside the type's range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | Decimal):
+        raise _refusal(Reason.VALUE_INVALID, "expected a number", where)
+    top, bottom = value.as_integer_ratio()
+    top, bottom = top * per_unit.numerator, bottom * per_unit.denominator
+    whole, left = divmod(top + offset * bottom, bottom)
+    if left:
+        whole = _rounded(Fraction(top, bottom) + offset, parameter.rounding, where)
+    if not parameter.low <= whole <= parameter.high or abs(whole) > MAX_INTEGER:
+        raise _refusal(
+            Reason.VALUE_OUT_OF_RANGE,
+            f"expected {parameter.low} to {parameter.high} {parameter.unit}, got {whole}",
+            where,
+        )
+    return whole
+
+
+def _rounded(exact: Fraction, rounding: Rounding, where: str) -> int:
+    if rounding is Rounding.COUNT:
+        raise _refusal(Reason.VALUE_INVALID, "expected a whole number", where)
+    if rounding is Rounding.POSITION:
+        return round(exact)
+    toward_zero = abs(exact.numerator) // exact.denominator
+    return (toward_zero + 1) * (1 if exact > 0 else -1)
+
+
+def unscale(value: int, argument: Argument, parameter: Parameter) -> int | Decimal | None:
+    """Return a parameter's integer as the tool's number; None when no number is read as it.
+
+    Exact where the tool's unit has an exact decimal. Where it has none (radians into degrees) the
+    decimal is cut toward zero: the tool is never given more than was authorized.
+
+    Args:
+        value: in the parameter's unit.
+        argument: the argument that carries it.
+        parameter: whose rounding reads it back.
+    """
+    per_unit = Fraction(argument.per_unit)
+    exact = (value - argument.offset) / per_unit
+    if exact.denominator == 1:
+        return exact.numerator
+    digits = _digits(exact.denominator)
+    if digits is None:
+        digits = len(str(int(per_unit))) + 3
+    cut = abs(exact.numerator) * 10**digits // exact.denominator
+    with localcontext() as context:
+        context.prec = 99
+        found = (Decimal(cut) * (1 if exact > 0 else -1)).scaleb(-digits).normalize()
+    try:
+        read = scale(found, parameter, per_unit=per_unit, where="", offset=argument.offset)
+    except MalformedError:  # a count would be read with a remainder
+        return None
+    return found if read == value and not argument.whole else None
+
+
+def _digits(bottom: int) -> int | None:
+    """Return after how many digits the decimals of a fraction end; None when they never do."""
+    counts = {2: 0, 5: 0}
+    for prime in counts:
+        while bottom % prime == 0:
+            bottom //= prime
+            counts[prime] += 1
+    return max(counts.values()) if bottom == 1 else None
+
+
+def _refusal(reason: Reason, message: str, where: str) -> MalformedError:
+    return MalformedError(message, where=where, reason=reason)

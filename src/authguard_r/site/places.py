@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where things are: regions, what lies within what, doors, and which regions are neighbors.
+
+Two regions of one floor that overlap would give a pose two meanings by accident; where it is
+meant, the author says so with `within`. Spec page: docs/spec/site-model.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from msgspec import Struct
+
+from authguard_r.core.geometry import Polygon, polygon
+from authguard_r.core.identifiers import RegionId
+from authguard_r.site.model import Door, Region, Site, ancestors
+from authguard_r.site.shapes import (
+    Edge,
+    Side,
+    contains,
+    doubled_area,
+    is_simple,
+    overlap,
+    shared_edges,
+    side_of,
+)
+
+
+class Neighbors(Struct, frozen=True, kw_only=True):
+    """Two regions that touch: where a robot could come from one into the other.
+
+    Args:
+        between: the two regions, sorted.
+        doors: their numbers in the site's list; none: a wall, or open floor that nobody drew a
+            door for.
+        edges: stretches that the outlines share, each longer than a point.
+    """
+
+    between: tuple[RegionId, RegionId]
+    doors: tuple[int, ...]
+    edges: tuple[Edge, ...]
+
+
+def adjacent(site: Site) -> tuple[Neighbors, ...]:
+    """Return every two regions that share an edge or a door, sorted; no check reads it."""
+    doors: dict[tuple[RegionId, RegionId], tuple[int, ...]] = {}
+    for number, door in enumerate(site.doors):
+        pair = _pair(*door.between)
+        doors[pair] = (*doors.get(pair, ()), number)
+    edges = {
+        _pair(first, second): shared_edges(site.regions[first].points, site.regions[second].points)
+        for first, second in _near(site.regions)
+    }
+    return tuple(
+        Neighbors(between=pair, doors=doors.get(pair, ()), edges=edges.get(pair, ()))
+        for pair in sorted({*doors, *(pair for pair, shared in edges.items() if shared)})
+    )
+
+
+def region_faults(site: Site) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong with each region by itself, with the place."""
+    for region, model in site.regions.items():
+        if not _sound(model):
+            simple = doubled_area(model.points) == 0
+            wanted = (
+                "corners that enclose an area" if simple else "edges that do not cross or touch"
+            )
+            yield f"regions.{region}.points", f"expected {wanted}"
+        elif side_of(model.approach, model.points) is Side.OUTSIDE:
+            yield f"regions.{region}.approach", "expected a point inside the region"
+        if list(model.tags) != sorted(set(model.tags)) or not model.tags:
+            yield f"regions.{region}.tags", "expected a sorted set of at least one tag"
+
+
+def hierarchy_faults(site: Site) -> Iterator[tuple[str, str]]:
+    """Yield parents that are none: unknown, in a cycle, or not around their child."""
+    for region, model in site.regions.items():
+        if model.within is None:
+            continue
+        place, parent = f"regions.{region}.within", site.regions.get(model.within)
+        if parent is None:
+            yield place, f"expected a region of this site, got `{model.within}`"
+        elif region in ancestors(site, region):
+            yield place, "expected no region to be within itself"
+        elif not _one_floor(model, parent):
+            yield place, f"expected the map and the floor of `{model.within}`"
+        elif _sound(model) and _sound(parent) and not contains(parent.points, model.points):
+            yield place, f"expected every point to lie inside `{model.within}`"
+
+
+def overlap_faults(site: Site) -> Iterator[tuple[str, str]]:
+    """Yield regions of one floor that have an area in common and do not say so."""
+    sound = {region: model for region, model in site.regions.items() if _sound(model)}
+    for first, second in _near(sound):
+        if second in ancestors(site, first) or first in ancestors(site, second):
+            continue
+        if overlap(sound[first].points, sound[second].points):
+            yield (
+                f"regions.{second}.points",
+                f"expected no area in common with `{first}`, or `within`",
+            )
+
+
+def _near(regions: dict[RegionId, Region]) -> list[tuple[RegionId, RegionId]]:
+    """Return every two regions of one floor whose bounding boxes meet, in the order of the model.
+
+    A sweep from left to right: a site of a thousand rooms has half a million pairs.
+    """
+    places = {region: number for number, region in enumerate(regions)}
+    boxes = [
+        (region, polygon(model.map, model.floor, model.points)) for region, model in regions.items()
+    ]
+    found: list[tuple[RegionId, RegionId]] = []
+    open_boxes: list[tuple[RegionId, Polygon]] = []
+    for region, box in sorted(boxes, key=lambda entry: entry[1].low):
+        open_boxes = [entry for entry in open_boxes if entry[1].high[0] >= box.low[0]]
+        for other, near in open_boxes:
+            same = (near.map, near.floor) == (box.map, box.floor)
+            if same and near.low[1] <= box.high[1] and box.low[1] <= near.high[1]:
+                pair = (other, region) if places[other] < places[region] else (region, other)
+                found.append(pair)
+        open_boxes.append((region, box))
+    return sorted(found, key=lambda pair: (places[pair[0]], places[pair[1]]))
+
+
+def door_faults(site: Site) -> Iterator[tuple[str, str]]:
+    """Yield doors that join no two regions, or regions that do not touch there."""
+    for number, door in enumerate(site.doors):
+        unknown = [region for region in door.between if region not in site.regions]
+        for region in unknown:
+            yield f"doors[{number}].between", f"expected regions of this site, got `{region}`"
+        if not unknown:
+            yield from _door(site, number, door)
+
+
+def _door(site: Site, number: int, door: Door) -> Iterator[tuple[str, str]]:
+    first, second = door.between
+    one, other = site.regions[first], site.regions[second]
+    if first == second:
+        yield f"doors[{number}].between", f"expected two regions, got `{first}` twice"
+        return
+    if one.map != other.map:
+        yield f"doors[{number}].between", "expected regions of one map"
+        return
+    sides = {region: side_of(door.at, site.regions[region].points) for region in door.between}
+    outside = [region for region, side in sides.items() if side is Side.OUTSIDE]
+    for region in outside:
+        yield f"doors[{number}].at", f"expected a point on the edge of `{region}`"
+    if one.floor == other.floor and not outside and Side.EDGE not in sides.values():
+        yield f"doors[{number}].at", f"expected a point on the edge of `{first}` or `{second}`"
+
+
+def _sound(model: Region) -> bool:
+    """True when the corners make a simple polygon; other shapes are not compared."""
+    return doubled_area(model.points) != 0 and is_simple(model.points)
+
+
+def _one_floor(one: Region, other: Region) -> bool:
+    return (one.map, one.floor) == (other.map, other.floor)
+
+
+def _pair(first: RegionId, second: RegionId) -> tuple[RegionId, RegionId]:
+    return (first, second) if first < second else (second, first)

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard mission draft`: what it prints, what it asks, and that the compiler takes it."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+import yaml
+
+import worlds
+from authguard_r import cli
+from authguard_r.cli.draft import draft_command
+from authguard_r.compile.answers import compile_plain
+from authguard_r.core.identifiers import Timestamp
+from authguard_r.core.quantities import Now, to_ms
+
+NOW = "2026-01-01T10:00:00Z"
+SITE = str(worlds.HOSPITAL / "site.yaml")
+DELIVER = "Deliver P1 to station 101 within 25 minutes"
+GIVEN = ("--robot", "courier-1", "--issuer", "operator-1")
+
+
+class Console:
+    """The command as users call it, through the product's own error handling."""
+
+    def __init__(self, capsys: Any, monkeypatch: Any) -> None:
+        app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        mission = typer.Typer()
+        mission.command("draft")(draft_command)
+        mission.command("other")(lambda: 0)
+        app.add_typer(mission, name="mission")
+        monkeypatch.setattr("authguard_r.cli.app.app", app)
+        self._capsys = capsys
+        self._patch = monkeypatch
+
+    def __call__(self, *arguments: str, typed: str | None = None) -> tuple[int, str, str]:
+        stdin = io.StringIO(typed or "")
+        self._patch.setattr(stdin, "isatty", lambda: typed is not None, raising=False)
+        self._patch.setattr(sys, "stdin", stdin)
+        clock = () if "--now" in arguments else ("--now", NOW)
+        code = cli.call(["mission", "draft", *arguments, "--site", SITE, *clock])
+        out = self._capsys.readouterr()
+        assert "Traceback" not in out.out + out.err
+        return code, out.out, out.err
+
+
+@pytest.fixture
+def console(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Console:
+    return Console(capsys, monkeypatch)
+
+
+def compiles(plain: object) -> Any:
+    at = Now(to_ms(Timestamp(NOW), where="now"), 0)
+    return compile_plain(plain, worlds.site(), now=at, nonce="A" * 22)
+
+
+def test_the_printed_draft_is_yaml_that_the_compiler_takes(console: Console) -> None:
+    code, out, _ = console(DELIVER, *GIVEN)
+    assert code == 0
+    plain = yaml.safe_load(out)
+    assert compiles(plain).task == DELIVER
+    assert "# assumed limits.force_mn: 1 N to 15 N (" in out
+    assert "authorizes nothing until it is signed" in out
+
+
+def test_a_draft_is_written_with_what_it_assumes(console: Console, tmp_path: Path) -> None:
+    target = tmp_path / "draft.yaml"
+    code, out, _ = console(DELIVER, *GIVEN, "--out", str(target))
+    assert code == 0
+    assert str(target) in out
+    assert "assumed risk_policy" in out
+    assert "# assumed risk_policy" in target.read_text()
+    compiles(yaml.safe_load(target.read_text()))
+
+
+def test_json_is_one_object_with_draft_and_assumptions(console: Console) -> None:
+    code, out, _ = console(DELIVER, *GIVEN, "--json")
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["proposer"] == "template"
+    assert {"field", "value", "why"} == set(answer["assumed"][0])
+    compiles(answer["draft"])
+
+
+def test_questions_are_exit_three_with_all_of_them(console: Console) -> None:
+    code, out, _ = console("bring the package to the office", *GIVEN, "--json")
+    answer = json.loads(out)
+    assert code == 3
+    assert answer["error"]["code"] == "CLARIFICATION_NEEDED"
+    assert answer["clarification"] == answer["clarifications"][0]
+    assert [q["field"] for q in answer["clarifications"]] == ["object", "destination", "window"]
+    assert answer["clarifications"][1]["candidates"] == ["office-1", "office-2"]
+
+
+def test_answers_settle_questions(console: Console) -> None:
+    answers = ("object=package-p1", "destination=office-2", "window=20 min")
+    options = [part for answer in answers for part in ("--answer", answer)]
+    code, out, _ = console("bring the package to the office", *GIVEN, *options, "--json")
+    assert code == 0
+    assert compiles(json.loads(out)["draft"]).regions == (
+        "dock",
+        "office-2",
+        "pharmacy",
+        "public-corridor",
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        (("--answer", "destination"), 4),
+        (("--answer", "=x"), 4),
+        (("--answer", "window=1 h", "--answer", "window=2 h"), 4),
+        (("--answer", "destination=moon"), 4),
+        (("--robot", "rover"), 4),
+        (("--proposer", "openai"), 2),
+        (("--proposer", "oracle"), 2),
+        (("--now", "half past two"), 2),
+        (("--profile", "/nonexistent/profile.yaml"), 5),
+    ],
+)
+def test_wrong_options_are_said_in_one_line(
+    console: Console, options: tuple[str, ...], code: int
+) -> None:
+    found, out, _ = console("go to the office within 5 min", *GIVEN, *options, "--json")
+    assert found == code
+    assert set(json.loads(out)) == {"error"}
+
+
+def test_a_person_at_the_terminal_is_asked(console: Console) -> None:
+    typed = "\nmoon\n1\noffice-2\n25 min\n"
+    code, out, err = console("bring the package to the office", *GIVEN, typed=typed)
+    assert code == 0
+    made = compiles(yaml.safe_load(out))
+    assert (made.objects, made.expiry) == (("package-p1",), "2026-01-01T10:25:00Z")
+    assert "1) package-p1" in err
+    assert "Which destination does `office` mean?" in err
+
+
+def test_no_input_never_asks_and_end_of_input_stops(console: Console) -> None:
+    sentence = "bring the package to the office"
+    assert console(sentence, *GIVEN, "--no-input", typed="1\n1\n25 min\n")[0] == 3
+    assert console(sentence, *GIVEN, typed="")[0] == 2
+
+
+def test_a_profile_of_ones_own_is_strict(console: Console, tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    shipped = Path(worlds.ROOT / "src/authguard_r/drafting/defaults.yaml").read_text()
+    own.write_text(shipped.replace("force_mn: [1 N, 15 N]", "force_mn: [1 N, 12 N]"))
+    code, out, _ = console(DELIVER, *GIVEN, "--profile", str(own), "--json")
+    assert code == 0
+    assert json.loads(out)["draft"]["grants"][1]["limits"]["force_mn"] == ["1 N", "12 N"]
+    for broken in ("conservative: {}\n", shipped + "  extra: 1\n", "cautious: 1\n"):
+        own.write_text(broken)
+        assert console(DELIVER, *GIVEN, "--profile", str(own), "--json")[0] == 4
+
+
+def test_a_sentence_with_line_breaks_cannot_leave_its_comment(console: Console) -> None:
+    code, out, _ = console(
+        "quietly\ngo to station 101 within 5 min", *GIVEN, "--answer", "word.quietly=leave it out"
+    )
+    assert code == 0
+    assert yaml.safe_load(out)["task"].startswith("quietly\ngo")

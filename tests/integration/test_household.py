@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two hundred household tasks: a sentence becomes a mission, a planner's steps run under it.
+
+Nothing is written for a task by hand: the site holds the things that the task names, the template
+grammar drafts the mission from the instruction, the operator signs it, and the planner's own steps
+go through both gates into the simulator; where the mission's risk policy asks for supervisors,
+they approve that very action. A task that does not get there must end in a question that names a
+privileged field, or in a refusal of a step that the instruction does not cover.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+
+import household
+import worlds
+from authguard_r.approvals import answer
+from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
+from authguard_r.compile.answers import compile_plain
+from authguard_r.core.approval import Verdict as Answer
+from authguard_r.core.decision import Verdict
+from authguard_r.core.encoding import Tag, b64
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.mission import Mission
+from authguard_r.core.standing import Outcome
+from authguard_r.core.token import sign_object
+from authguard_r.drafting.profile import read_profile
+from authguard_r.drafting.proposal import Proposal
+from authguard_r.drafting.template import TemplateProposer
+from authguard_r.keys.setup import init_folder
+from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize.binding import Binding
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.shipped import binding_source
+from authguard_r.report import Report
+from authguard_r.site.check import faults
+from authguard_r.site.model import Site
+from authguard_r.site.source import convert
+
+TASKS = Path(__file__).resolve().parents[2].parent / "shared" / "external" / "safeagentbench"
+pytestmark = [
+    pytest.mark.external,
+    pytest.mark.skipif(not TASKS.is_dir(), reason=f"no public test data at {TASKS}"),
+]
+BINDING: Binding = convert(binding_source("safeagentbench"), Binding, where="safeagentbench")
+#: What the operator answers in every task: who signs, and for how long.
+SETTLED = {"issuer": "operator-1", "window": "2 hours"}
+#: At least so many of the 200 must run to their end.
+ENOUGH = 150
+
+
+class Ending(NamedTuple):
+    """How one task ended: `executed`, `question`, `refused`, `unreadable` or `no steps`."""
+
+    task: str
+    kind: str
+    why: str
+
+
+@cache
+def site_of(sentence: str, steps: tuple[str, ...]) -> Site:
+    """Return the task's site, with every spelling that the planner uses as a name."""
+    site = household.site(sentence, *steps)
+    said = {word for step in steps for word in _spellings(step)}
+    objects = {}
+    taken = {name for model in site.objects.values() for name in model.names}
+    for item, model in site.objects.items():
+        letters = {_letters(name) for name in (item, *model.names)}
+        more = {w for w in said if _letters(w) in letters and w not in taken and w != item}
+        objects[item] = msgspec.structs.replace(model, names=(*model.names, *sorted(more)))
+    made = msgspec.structs.replace(site, objects=objects)
+    assert all("can be taken for" not in fault.message for fault in faults(made))
+    return made
+
+
+def _spellings(step: str) -> Iterator[str]:
+    words = step.split()
+    for first in range(1, len(words)):
+        yield " ".join(words[first:])
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z]", "", name.casefold())
+
+
+def draft(task: dict[str, Any], site: Site) -> Proposal:
+    proposer = TemplateProposer(profile=read_profile(), now_ms=worlds.NOW.utc_ms)
+    return proposer.propose(household.sentence(task), site, robot=household.ROBOT, settled=SETTLED)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a trust folder; every kitchen's robot has the same profile."""
+    path = tmp_path_factory.mktemp("household") / "trust"
+    site = household.site("")
+    start = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    init_folder(path, demo_members(site, (household.ROBOT,)), now=start)
+    return path
+
+
+def play(task: dict[str, Any], folder: Path) -> Ending:
+    """Draft, sign, and let the planner's steps run; return how it ended."""
+    name, steps = f"{task['file']}:{task['line']}", household.steps(task)
+    site = site_of(household.sentence(task), steps)
+    proposal = draft(task, site)
+    if proposal.questions:
+        return Ending(name, "question", proposal.questions[0].field)
+    mission = compile_plain(proposal.draft, site, now=worlds.NOW, nonce=b64(bytes(16)))
+    if not steps:
+        return Ending(name, "no steps", "")
+    simulation = simulate(
+        folder, site, BINDING, rid=household.ROBOT, start_ms=worlds.START_MS, store=None
+    )
+    try:
+        return _run(name, steps, mission, simulation, folder)
+    finally:
+        simulation.gate.close()
+
+
+def _run(
+    name: str, steps: tuple[str, ...], mission: Mission, simulation: Simulation, folder: Path
+) -> Ending:
+    token = sign_object(mission, Tag.MISSION, folder_signer(folder, "operator-1"))
+    simulation.gate.management.activate(token)
+    text = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, 1))
+    try:
+        plan = normalize(text.encode(), binder=simulation.binder, dialect=Dialect.STEPS)
+    except MalformedError as refusal:
+        return Ending(name, "unreadable", str(refusal))
+    assert len(plan.steps) == len(steps)
+    for number, (said, step) in enumerate(zip(steps, plan.steps, strict=True)):
+        report = _propose(simulation, step, plan.evidence)
+        asked = report.judged
+        if asked is not None and asked.decision.verdict is Verdict.REQUEST_APPROVAL:
+            _approve(simulation, report, folder)
+            report = _propose(simulation, step, plan.evidence)
+        if report.outcome is not Outcome.SUCCEEDED:
+            assert report.judged is not None, report.refusal
+            found = [str(finding.reason) for finding in report.judged.decision.findings]
+            return Ending(name, "refused", f"step {number + 1} `{said}`: {', '.join(found)}")
+        assert simulation.robot.trace[-1].action == report.judged.action
+    assert len(simulation.robot.trace) == len(steps)
+    return Ending(name, "executed", "")
+
+
+def _propose(simulation: Simulation, step: Any, evidence: Any) -> Report:
+    return simulation.gate.enforcer.propose(
+        step,
+        planner="planner",
+        evidence=evidence,
+        context=ContextLedger(simulation.binder.spellings()),
+    )
+
+
+def _approve(simulation: Simulation, report: Report, folder: Path) -> None:
+    """Let both supervisors approve the open question."""
+    assert report.judged is not None
+    match = report.judged.decision.match
+    standing = simulation.gate.management.standing(report.judged.verified.mission.mid)
+    assert match is not None
+    assert standing is not None
+    grant = match.indexed.grant.id
+    for supervisor in ("supervisor-1", "supervisor-2"):
+        approval = answer(
+            report.judged.verified,
+            grant,
+            standing.requests[grant],
+            rid=household.ROBOT,
+            verdict=Answer.APPROVE,
+        )
+        signed = sign_object(approval, Tag.APPROVAL, folder_signer(folder, supervisor))
+        simulation.gate.management.approve(signed)
+
+
+def test_most_household_tasks_run_from_sentence_to_effect(folder: Path) -> None:
+    tasks = household.tasks(TASKS)
+    endings = [play(task, folder) for task in tasks]
+    counted = Counter(ending.kind for ending in endings)
+    for ending in endings:
+        if ending.kind != "executed":
+            print(*ending)
+    print(dict(counted))
+    assert len(tasks) == 200
+    assert counted["executed"] >= ENOUGH
+    # what did not run was asked about, has no steps, or would do what nobody asked for
+    assert all(ending.why for ending in endings if ending.kind in {"question", "refused"})
+
+
+def test_a_task_that_is_not_drafted_asks_about_a_privileged_field() -> None:
+    asked: Counter[str] = Counter()
+    for task in household.tasks(TASKS):
+        proposal = draft(task, site_of(household.sentence(task), household.steps(task)))
+        for question in proposal.questions:
+            assert question.question
+            assert question.field
+            asked[re.sub(r"\d+", "N", question.field.partition(".")[2] or question.field)] += 1
+        assert bool(proposal.questions) != bool(proposal.draft)
+    print(dict(asked))

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gate's process that dies in the middle of a mission's update, without a word.
+
+Called with the trust folder, the store, the token's file, the instant, and the step after which
+it dies: a method of `Act`, or `afterwards`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import worlds
+from authguard_r.assembly import simulate
+from authguard_r.ledger import Act
+
+DEAD = 9
+
+
+def main(folder: str, store: str, token: str, start_ms: str, step: str) -> None:
+    simulation = simulate(
+        Path(folder),
+        worlds.site(),
+        worlds.binding(),
+        rid=worlds.RID,
+        start_ms=int(start_ms),
+        store=Path(store),
+    )
+    if step != "afterwards":
+        carried_out = getattr(Act, step)
+
+        def dies(act: Act, *arguments: Any) -> None:
+            carried_out(act, *arguments)
+            os._exit(DEAD)
+
+        setattr(Act, step, dies)
+    simulation.gate.management.activate(Path(token).read_bytes())
+    os._exit(DEAD)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The confirmation is of one mission, in one spelling, and grants nothing."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.audit.record import read_record, read_sealed
+from authguard_r.compile.card import card_digest, review
+from authguard_r.compile.confirmation import (
+    Confirmation,
+    How,
+    confirm,
+    confirmation_bytes,
+    read_confirmation,
+)
+from authguard_r.compile.findings import Code
+from authguard_r.core.encoding import Tag, digest_of, encode
+from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
+
+SET = msgspec.structs.replace
+
+
+def confirmed(**changes: Any) -> Confirmation:
+    mission = worlds.mission()
+    said = confirm(
+        mission,
+        card=card_digest(review(mission, worlds.site())),
+        how=How.INTERACTIVE,
+        accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE),
+        now=worlds.NOW,
+    )
+    return SET(said, **changes)
+
+
+def test_a_confirmation_says_what_was_asked_shown_accepted_by_whom_and_when() -> None:
+    said = confirmed()
+    mission = worlds.mission()
+    assert json.loads(confirmation_bytes(said)) == {
+        "schema": "authguard-r/confirmation/1",
+        "mission": digest_of(Tag.MISSION, mission),
+        "mid": "deliver-p1",
+        "version": 1,
+        "request": mission.task,
+        "by": "operator-1",
+        "at_ms": worlds.START_MS,
+        "how": "interactive",
+        "card": card_digest(review(mission, worlds.site())),
+        "accepted": ["BEYOND_PROFILE", "NEVER_ASKS"],
+    }
+    assert read_confirmation(confirmation_bytes(said), mission=mission) == said
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mission": "A" * 43},
+        {"mid": "another"},
+        {"version": 2},
+        {"request": "Carry everything everywhere."},
+        {"by": "operator-2"},
+    ],
+)
+def test_the_confirmation_of_another_mission_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(RefusedError, match="META_MISMATCH"):
+        read_confirmation(confirmation_bytes(confirmed(**changes)), mission=worlds.mission())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{}",
+        b"null",
+        b"\xff" * 99,
+        b"[" * 9_999,
+        encode({**msgspec.to_builtins(confirmed()), "schema": "authguard-r/confirmation/2"}),
+        encode({**msgspec.to_builtins(confirmed()), "more": 1}),
+        encode({**msgspec.to_builtins(confirmed()), "how": "asleep"}),
+        encode({**msgspec.to_builtins(confirmed()), "accepted": ["ANYTHING"]}),
+        encode({**msgspec.to_builtins(confirmed()), "accepted": []}),
+        encode(confirmed(accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE))),
+        encode(confirmed(accepted=(Code.NEVER_ASKS, Code.NEVER_ASKS))),
+        json.dumps(msgspec.to_builtins(confirmed())).encode(),
+    ],
+)
+def test_what_is_no_confirmation_is_malformed(data: bytes) -> None:
+    with pytest.raises(MalformedError):
+        read_confirmation(data, mission=worlds.mission())
+
+
+def activation(sim: Any) -> dict[str, Any]:
+    """Return what the last management record seals."""
+    rows = sim.gate.ledger.store.rows()
+    found = [row for row in rows if read_record(row.record, where="").kind == "management"]
+    sealed = read_sealed(found[-1].sealed, where="")
+    return {name: item.value for name, item in sealed.items()}
+
+
+def test_an_activation_seals_the_confirmation_beside_the_token() -> None:
+    sim = worlds.simulation()
+    sim.gate.management.activate(worlds.token(), confirmation=confirmation_bytes(confirmed()))
+    sealed = activation(sim)
+    assert set(sealed) == {"token", "confirmation"}
+    assert sealed["confirmation"] == json.loads(confirmation_bytes(confirmed()))
+
+
+def test_an_activation_without_one_seals_the_token_alone() -> None:
+    sim = worlds.simulation()
+    sim.gate.management.activate(worlds.token())
+    assert set(activation(sim)) == {"token"}
+
+
+@pytest.mark.parametrize("data", [b"junk", confirmation_bytes(confirmed(mission="A" * 43))])
+def test_a_confirmation_that_does_not_fit_activates_nothing(data: bytes) -> None:
+    sim = worlds.simulation()
+    with pytest.raises(AuthGuardError):
+        sim.gate.management.activate(worlds.token(), confirmation=data)
+    assert sim.gate.management.standing("deliver-p1") is None
+    assert sim.gate.ledger.run(lambda act: act.active()) is None
+    kinds = [read_record(row.record, where="").kind for row in sim.gate.ledger.store.rows()]
+    assert kinds == ["genesis", "refusal"]
+    assert sim.gate.management.activate(worlds.token()).status == "active"

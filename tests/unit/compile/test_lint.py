@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lint: sentence and mission pairs, each with exactly the findings that a reader would have.
+
+Each pair is the hospital's mission with a small edit (tests/fixtures/lint). `draft` edits what a
+person writes, `signed` what only a mission file can hold, `site` the site beneath both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.compile.answers import apply, compile_plain
+from authguard_r.compile.lint import Code, Measures, Severity, errors, finding_lines, lint
+from authguard_r.core.identifiers import RegionId
+from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
+from authguard_r.site.model import Site
+from authguard_r.site.source import convert, read_text, read_yaml
+
+FOLDER = Path(__file__).resolve().parents[2] / "fixtures" / "lint"
+PAIRS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+#: The shipped mission with the one guard that the lint asks for.
+GUARDED = {"grants[5].guards": [{"variable": "holding", "eq": "nothing", "max_age": "1 s"}]}
+SET = msgspec.structs.replace
+
+
+@cache
+def pair(name: str) -> dict[str, Any]:
+    plain = read_yaml(read_text(FOLDER / f"{name}.yaml"), where=name)
+    assert isinstance(plain, dict)
+    assert set(plain) <= {"shows", "task", "site", "draft", "signed", "findings", "near_miss"}
+    return plain
+
+
+def merged(old: Any, new: Any) -> Any:
+    if not isinstance(old, Mapping) or not isinstance(new, Mapping) or "kind" in new:
+        return new
+    return {**old, **{key: merged(old.get(key), value) for key, value in new.items()}}
+
+
+def world(plain: dict[str, Any]) -> tuple[Mission, Site]:
+    source = read_yaml(read_text(worlds.HOSPITAL / "site.yaml"), where="site")
+    site = convert(merged(source, plain.get("site", {})), Site, where="site")
+    task = plain.get("task", worlds.draft()["task"])
+    own = plain.get("draft", {})
+    edits = {**({} if "grants" in own else GUARDED), "task": task, **own}
+    draft = apply(worlds.draft(), edits)
+    mission = compile_plain(draft, site, now=worlds.NOW, nonce="A" * 22)
+    signed = apply(msgspec.json.decode(msgspec.json.encode(mission)), plain.get("signed", {}))
+    mission = convert(signed, Mission, where="mission")
+    require_schema(mission)
+    return mission, site
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_pair_has_exactly_its_findings(name: str) -> None:
+    plain = pair(name)
+    found = lint(*world(plain))
+    told = [[str(f.code), f.where, str(f.severity)] for f in found]
+    assert sorted(told) == sorted(plain["findings"])
+    assert plain.get("near_miss") not in {f.code for f in found}
+    assert all(f.message and f.mend for f in found)
+
+
+def test_every_code_has_a_pair_with_it_and_a_near_miss_without() -> None:
+    assert len(PAIRS) >= 30
+    assert {code for name in PAIRS for code, _, _ in pair(name)["findings"]} == set(Code)
+    assert {pair(name).get("near_miss") for name in PAIRS} - {None} == set(Code)
+
+
+def test_the_shipped_missions_have_no_error() -> None:
+    for name in ("mission.yaml", "mission-v2.yaml"):
+        mission = worlds.mission(name, **({"supersedes": "A" * 43} if "v2" in name else {}))
+        assert errors(lint(mission, worlds.site())) == ()
+
+
+def test_errors_come_first_and_each_line_has_its_mend() -> None:
+    found = lint(*world(pair("18-filming-for-a-week")))
+    assert [f.severity for f in found] == [Severity.ERROR, Severity.WARNING]
+    assert errors(found) == (Code.RETENTION_OPEN,)
+    lines = finding_lines(found)
+    assert lines[0].startswith("ERROR   RETENTION_OPEN at actions[6].data.store: `film` keeps")
+    assert lines[1].strip().startswith("mend: ")
+    assert len(lines) == 4
+
+
+def test_a_site_may_draw_its_lines_elsewhere() -> None:
+    mission, site = world(pair("25-a-whole-day-for-ten-minutes"))
+    assert lint(mission, site, Measures(window_factor=1_000)) == ()
+    mission, site = world(pair("17-filming-as-asked"))
+    assert errors(lint(mission, site, Measures(retention_ms=1))) == (Code.RETENTION_OPEN,)
+    mission, site = world(pair("41-a-stream-that-goes-on"))
+    assert lint(mission, site, Measures(stream_ms=10_000)) == ()
+    mission, site = world(pair("01-going-home-with-empty-hands"))
+    assert errors(lint(mission, site, Measures(forceful_percent=50))) == (Code.NEVER_ASKS,)
+
+
+def guard(comparison: str, value: Any) -> Guard:
+    return Guard(variable="x", comparison=Comparison(comparison), value=value, max_age_ms=1)
+
+
+@pytest.mark.parametrize(
+    ("guards", "can_hold"),
+    [
+        ([("ge", 3), ("le", 3)], True),
+        ([("gt", 3), ("le", 3)], False),
+        ([("gt", 3), ("lt", 5)], True),
+        ([("gt", 3), ("lt", 4)], False),
+        ([("eq", 3), ("eq", 3), ("ne", 4), ("lt", 4), ("le", 3), ("gt", 2), ("ge", 3)], True),
+        ([("eq", 3), ("eq", 4)], False),
+        ([("eq", 3), ("ne", 3)], False),
+        ([("eq", True), ("eq", 1)], False),
+        ([("eq", "a"), ("ge", "a")], False),
+        ([("eq", True), ("ge", True)], False),
+        ([("eq", "a"), ("ne", "b")], True),
+        ([("ne", "a"), ("ne", "b")], True),
+        ([("ge", "a")], False),
+        ([("ge", True)], False),
+    ],
+)
+def test_guards_that_contradict_each_other_are_seen(
+    guards: list[tuple[str, Any]], can_hold: bool
+) -> None:
+    mission, site = world({"findings": []})
+    first = SET(mission.actions[0], guards=tuple(guard(*g) for g in guards))
+    found = lint(SET(mission, actions=(first, *mission.actions[1:])), site)
+    assert (Code.NEVER_MATCHES in errors(found)) is not can_hold
+
+
+def test_what_the_site_does_not_know_is_said_and_nothing_breaks() -> None:
+    mission, site = world({"findings": []})
+    first = mission.actions[1]
+    row = SET(first.alternatives[0], object="ghost", source="moon", regions=("moon",))
+    limit = SET(first.limits[0], parameter="mood_no")
+    odd = (
+        SET(first, type="dance", alternatives=(row,)),
+        SET(first, alternatives=(SET(row, destination=RegionId("moon")),)),
+        SET(first, limits=(limit, *first.limits)),
+    )
+    for grant in odd:
+        changed = SET(mission, actions=(mission.actions[0], grant, *mission.actions[2:]))
+        assert Code.NEVER_MATCHES in errors(lint(changed, site))
+
+
+def test_the_page_of_lint_codes_is_the_enumeration() -> None:
+    page = (worlds.ROOT / "docs" / "spec" / "lint.md").read_text(encoding="utf-8")
+    table = page.partition("## Findings")[2]
+    rows = [line.strip("|").split("|") for line in table.splitlines() if line.startswith("| `")]
+    told = {row[0].strip().strip("`"): row[1].strip() for row in rows}
+    assert list(told) == [str(code) for code in Code]
+    assert all(cell.strip() for row in rows for cell in row)
+    seen: dict[str, set[str]] = {}
+    for name in PAIRS:
+        for code, _, severity in pair(name)["findings"]:
+            seen.setdefault(code, set()).add(severity)
+    for code, severities in seen.items():
+        assert set(told[code].split(" or ")) == severities, code

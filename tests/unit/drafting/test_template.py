@@ -1,0 +1,551 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The template grammar: what a sentence grants, and what it must be asked before it grants."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.mission import Comparison, DataRights
+from authguard_r.drafting.proposal import clarification
+from authguard_r.site.model import Site
+from unit.drafting.drafts import GIVEN, compiled, fields, mission, propose, shape
+
+DELIVERY = [
+    ("navigate", None, "pharmacy"),
+    ("pick", "package-p1", None),
+    ("navigate", None, "station-101"),
+    ("place", "package-p1", "station-101"),
+]
+VISIT = [("navigate", None, "station-102")]
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "Deliver package P1 to station 101.",
+        "Bring P1 from the pharmacy to Nurse Station 101, please",
+        "courier-1, carry the Medicine Package P1 to room 101",
+        "Take package-p1 to station-101",
+        "Could you transport P1 into Station 101?",
+        "Fetch P1 from the pharmacy to Station 101",
+        "get P1 to room 101",
+        "Pick up P1 and put it in station 101",
+        "Pick up P1, then place it in Room 101.",
+        "Return P1 to station 101",
+        "Move P1 to station 101",
+    ],
+)
+def test_a_delivery_is_going_there_picking_carrying_placing(sentence: str) -> None:
+    made = mission(sentence)
+    assert shape(made.actions) == DELIVERY
+    assert [grant.completes for grant in made.actions] == [False, False, False, True]
+    assert made.task == sentence
+    assert made.objects == ("package-p1",)
+    assert made.regions == ("dock", "pharmacy", "public-corridor", "station-101")
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "Go to station 102",
+        "drive to Nurse Station 102.",
+        "move to Room 102",
+        "Guide the visitor to station 102",
+        "Escort the patient to Station 102",
+        "Patrol station 102",
+        "Inspect Room 102 without recording",
+        "check station 102, do not record",
+    ],
+)
+def test_a_visit_is_one_motion_that_records_nothing(sentence: str) -> None:
+    made = mission(sentence)
+    assert shape(made.actions) == VISIT
+    assert made.actions[0].data == DataRights()
+    assert made.budgets.recorded_bytes == 0
+
+
+@pytest.mark.parametrize(
+    "sentence", ["Patrol stations 101, 102 and 103", "patrol Station 101, Room 102 and Station 103"]
+)
+def test_a_patrol_goes_in_the_order_of_the_sentence(sentence: str) -> None:
+    made = mission(sentence)
+    assert [end for _, _, end in shape(made.actions)] == [
+        "station-101",
+        "station-102",
+        "station-103",
+    ]
+    assert [len(grant.after) for grant in made.actions] == [0, 1, 1]
+
+
+def test_a_patrol_twice_comes_back_for_the_second_round() -> None:
+    ends = [end for _, _, end in shape(mission("patrol stations 101 and 102 twice").actions)]
+    assert ends == ["station-101", "station-102"] * 2
+
+
+@pytest.mark.parametrize(
+    ("sentence", "kind"),
+    [
+        ("Record the pharmacy for 30 s", "record_video"),
+        ("Film the pharmacy for up to 30 seconds", "record_video"),
+        ("Take a photo of the pharmacy", "take_photo"),
+        ("photograph the pharmacy", "take_photo"),
+        ("Inspect the pharmacy with recording", "take_photo"),
+    ],
+)
+def test_a_recording_has_the_rights_that_were_said_and_a_bound(sentence: str, kind: str) -> None:
+    made = mission(sentence, data__store="no", data__transmit="no")
+    grant = made.actions[-1]
+    assert grant.type == kind
+    assert grant.data == DataRights(record=True)
+    assert {limit.parameter for limit in grant.limits} >= {"max_bytes"}
+    assert made.budgets.recorded_bytes == 10_000_000 * grant.starts
+
+
+@pytest.mark.parametrize(
+    "sentence", ["Wait 30 s at the pharmacy", "pause for 30 seconds in Pharmacy"]
+)
+def test_a_wait_is_as_long_as_it_was_said(sentence: str) -> None:
+    made = mission(sentence)
+    wait = made.actions[-1]
+    assert (wait.type, wait.limits[0].high, wait.max_ms) == ("wait", 30_000, 35_000)
+    assert made.budgets.wait_ms == 35_000 * wait.starts
+
+
+@pytest.mark.parametrize(
+    ("sentence", "comparison", "value"),
+    [
+        ("return to base when the battery is low", Comparison.LT, 200),
+        ("Go home if the battery falls below 15 %", Comparison.LT, 150),
+        ("When the battery is low, return to the dock", Comparison.LT, 200),
+        ("return home once the battery level is under 20 percent", Comparison.LT, 200),
+    ],
+)
+def test_the_papers_return_mission_has_its_battery_guard(
+    sentence: str, comparison: Comparison, value: int
+) -> None:
+    (grant,) = mission(sentence).actions
+    assert [(g.variable, g.comparison, g.value) for g in grant.guards] == [
+        ("battery_permille", comparison, value)
+    ]
+    assert {row.destination for row in grant.alternatives} == {"dock"}
+    assert grant.chooser == "trusted_sensor"
+    entered = {region for row in grant.alternatives for region in row.regions}
+    assert not entered & {"office-1", "office-2", "isolation-room", "plant-room"}
+
+
+@pytest.mark.parametrize("sentence", ["return to base", "Go home."])
+def test_a_return_without_a_condition_is_asked_about(sentence: str) -> None:
+    asked = propose(sentence)
+    assert asked.draft == {}
+    assert fields(asked) == {"condition": ("when the battery is low", "always")}
+    guarded = mission(sentence, condition="when the battery is low").actions[0]
+    assert [guard.variable for guard in guarded.guards] == ["battery_permille"]
+    assert mission(sentence, condition="always").actions[0].guards == ()
+
+
+def test_a_condition_between_two_clauses_belongs_to_the_second() -> None:
+    made = mission("Go to station 101, when the battery is low, return to base")
+    assert [bool(grant.guards) for grant in made.actions] == [False, True]
+    asked = fields(propose("Go to station 101, when the battery is low"))
+    assert asked["word.when the battery is low"] == ()
+
+
+def test_rights_that_the_sentence_settles_are_not_asked_for() -> None:
+    made = mission("Record the pharmacy for 30 s and store it, do not transmit it")
+    assert made.actions[-1].data == DataRights(record=True, store=True)
+    asked = fields(propose("Record the pharmacy for 30 s and send it to office 1"))
+    assert "word.send" in asked
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "go to station 101 within 5 min within 1 h",
+        "go to station 101 before 14:30 until 15:00",
+        "inspect the pharmacy without recording and with recording",
+        "go to station 101 at 0.2 m/s at 0.9 m/s",
+        "go to station 101 when the battery is low if the battery is above 90 %",
+        "patrol station 101 twice once",
+    ],
+)
+def test_terms_that_contradict_each_other_are_asked_about(sentence: str) -> None:
+    assert any(field.startswith("word.") for field in fields(propose(sentence)))
+
+
+def test_a_return_after_something_waits_for_it() -> None:
+    made = mission("Deliver P1 to station 101, then return to base")
+    assert made.actions[-1].after == ("place-package-p1",)
+    assert made.actions[-1].completes
+
+
+def test_a_return_on_low_battery_does_not_wait_for_the_delivery() -> None:
+    made = mission("Deliver P1 to station 101 and return to base when the battery is low")
+    assert made.actions[-1].after == ()
+    assert not made.actions[-1].completes
+    assert made.actions[-2].completes
+    assert made.actions[-2].guards[0].variable == "holding"
+
+
+def test_the_package_and_the_office_are_two_questions() -> None:
+    asked = propose("bring the package to the office")
+    assert fields(asked) == {
+        "object": ("package-p1", "package-p2"),
+        "destination": ("office-1", "office-2"),
+    }
+    assert asked.draft == {}
+    answered = mission(
+        "bring the package to the office", object="package-p2", destination="office-1"
+    )
+    assert shape(answered.actions)[-1] == ("place", "package-p2", "office-1")
+
+
+def test_answers_may_come_one_at_a_time() -> None:
+    asked = propose("bring the package to the office", object="package-p2")
+    assert fields(asked) == {"destination": ("office-1", "office-2")}
+
+
+def test_everything_that_is_open_is_asked_at_once_the_sentence_first() -> None:
+    asked = propose("bring the package to the office", robot=None, given={})
+    assert list(fields(asked)) == ["object", "destination", "robot", "window", "issuer"]
+    error = clarification(asked.questions)
+    assert [error.field, *(other.field for other in error.others)] == [
+        question.field for question in asked.questions
+    ]
+
+
+def test_inspecting_the_room_asks_which_and_for_each_data_right() -> None:
+    asked = fields(propose("inspect the room"))
+    assert list(asked) == ["destination", "data.record", "data.store", "data.transmit"]
+    assert "isolation-room" in asked["destination"]
+    assert asked["data.record"] == ("yes", "no")
+
+
+@pytest.mark.parametrize(
+    ("sentence", "first"),
+    [
+        ("Deliver P1 to station 101 by half past two", "2026-01-01T14:30:00Z"),
+        ("Deliver P1 to station 101 before 14:30", "2026-01-01T14:30:00Z"),
+        ("Deliver P1 to station 101 until 2:30 pm tomorrow", "2026-01-02T14:30:00Z"),
+        ("Deliver P1 to station 101 no later than noon", "2026-01-01T12:00:00Z"),
+    ],
+)
+def test_a_time_without_its_date_or_zone_is_asked_about(sentence: str, first: str) -> None:
+    asked = propose(sentence, given={"issuer": "operator-1"})
+    assert list(fields(asked)) == ["window.expiry"]
+    assert fields(asked)["window.expiry"][0] == first
+    made = mission(sentence, given={"issuer": "operator-1"}, window__expiry=first)
+    assert made.expiry == first
+
+
+@pytest.mark.parametrize(
+    ("sentence", "begin", "end"),
+    [
+        ("Go to station 101 within 25 minutes", "2026-01-01T10:00:00Z", "2026-01-01T10:25:00Z"),
+        ("Go to station 101 in the next hour", None, None),
+        (
+            "Go to station 101 before 2026-01-01T14:30:00Z",
+            "2026-01-01T10:00:00Z",
+            "2026-01-01T14:30:00Z",
+        ),
+        ("Go to station 101 by 14:30 UTC today", "2026-01-01T10:00:00Z", "2026-01-01T14:30:00Z"),
+    ],
+)
+def test_a_window_that_was_said_in_full_is_taken(
+    sentence: str, begin: str | None, end: str | None
+) -> None:
+    asked = propose(sentence, given={"issuer": "operator-1"})
+    if begin is None:
+        assert "word.hour" in fields(asked)  # `the next hour` has no number: how many?
+        return
+    made = compiled(asked)
+    assert (made.not_before, made.expiry) == (begin, end)
+
+
+def test_a_window_is_asked_for_and_takes_a_duration_or_an_instant() -> None:
+    given = {"issuer": "operator-1"}
+    assert fields(propose("go to station 101", given=given)) == {"window": ()}
+    assert mission("go to station 101", given=given, window="10 min").expiry == (
+        "2026-01-01T10:10:00Z"
+    )
+    made = mission("go to station 101", given=given, window="2026-01-01T11:00:00Z")
+    assert made.expiry == "2026-01-01T11:00:00Z"
+    with pytest.raises(MalformedError, match="duration"):
+        propose("go to station 101", given=given, window="soon")
+    over = propose("go to station 101 until 2025-01-01T00:00:00Z", given=given)
+    assert "window.end" in fields(over)
+
+
+def test_at_two_is_a_time_or_a_speed_and_is_asked_about() -> None:
+    asked = fields(propose("go to station 101 at 2"))
+    assert asked["at"] == (
+        "2 m/s",
+        "2 km/h",
+        "2026-01-01T14:00:00Z",
+        "2026-01-02T02:00:00Z",
+        "2026-01-02T14:00:00Z",
+    )
+    made = mission("go to station 101 at 2", at="2026-01-01T14:00:00Z")
+    assert (made.not_before, made.expiry) == ("2026-01-01T14:00:00Z", "2026-01-01T14:25:00Z")
+    begin = propose("go to station 101 at 14:00")
+    assert fields(begin)["window.not_before"][0] == "2026-01-01T14:00:00Z"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "field", "candidates"),
+    [
+        ("go to station 101 speed 0.8", "limits.speed_mm_s", ("0.8 m/s", "0.8 km/h", "0.8 mm/s")),
+        ("go to station 101 at a speed of 0.8", "limits.speed_mm_s", None),
+        ("deliver P1 to station 101 with a force of 5", "limits.force_mn", ("5 N", "5 mN")),
+        ("wait at the pharmacy for 5", "duration", ("5 s", "5 min", "5 h")),
+        ("wait at the pharmacy", "duration", ()),
+    ],
+)
+def test_a_number_without_its_unit_is_asked_about(
+    sentence: str, field: str, candidates: tuple[str, ...] | None
+) -> None:
+    asked = fields(propose(sentence))
+    assert field in asked
+    assert candidates is None or asked[field] == candidates
+
+
+def test_a_speed_that_was_said_is_the_upper_bound() -> None:
+    (grant,) = mission("go to station 101 at 0.8 m/s").actions
+    assert (grant.limits[0].low, grant.limits[0].high) == (50, 800)
+    (slow,) = mission("go to station 101 at most 20 mm/s").actions
+    assert (slow.limits[0].low, slow.limits[0].high) == (20, 20)
+    settled = mission("go to station 101 speed 0.8", limits__speed_mm_s="0.8 m/s")
+    assert settled.actions[0].limits[0].high == 800
+
+
+@pytest.mark.parametrize("said", ["3 m/s", "0 m/s", "1 km/h"])
+def test_a_speed_that_the_robot_cannot_do_exactly_is_asked_about(said: str) -> None:
+    asked = fields(propose(f"go to station 101 at {said}"))
+    assert list(asked) == ["limits.speed_mm_s"]
+    made = mission(f"go to station 101 at {said}", limits__speed_mm_s="1.5 m/s")
+    assert made.actions[0].limits[0].high == 1500
+    with pytest.raises(MalformedError):
+        propose(f"go to station 101 at {said}", limits__speed_mm_s="2 m/s")
+
+
+def test_an_unsaid_speed_is_the_profiles_upper_bound_and_is_marked() -> None:
+    made = propose("go to station 101")
+    (grant,) = compiled(made).actions
+    assert grant.limits[0].high == 500
+    assert "limits.speed_mm_s" in {item.field for item in made.assumed}
+    (gentle,) = mission("go slowly to station 101").actions
+    assert gentle.limits[0].high == 250
+    (guide,) = mission("guide the visitor to station 101").actions
+    assert guide.limits[0].high == 400
+
+
+@pytest.mark.parametrize(
+    ("sentence", "word"),
+    [
+        ("quietly go to station 101", "quietly"),
+        ("bring P1 to the private station 101", "private"),
+        ("bring P1 to station 101 with the patient", "patient"),
+        ("go to station 101 & office 1", "&"),
+        ("inspect P1 via office 1 without recording", "via"),
+    ],
+)
+def test_a_word_that_nothing_explains_is_asked_about(sentence: str, word: str) -> None:
+    asked = propose(sentence)
+    assert f"word.{word}" in fields(asked)
+    (question,) = [q for q in asked.questions if q.field == f"word.{word}"]
+    assert question.question == (
+        f'the word "{word}" is not understood: leave it out or say it otherwise'
+    )
+
+
+@pytest.mark.parametrize(
+    ("sentence", "word"),
+    [
+        ("do not enter office 1 and go to station 101", "not"),
+        ("deliver P1 to station 101, don't go to office 1", "don't"),
+        ("Never go to office 1", "Never"),
+        ("go to station 101 unless it is dark", "unless"),
+        ("go to station 101 after the patient left", "after"),
+        ("go to station 101 if the door is open", "if"),
+        ("bring P1 to station 101 or station 102", "or"),
+        ("go to station 101 at least 0.5 m/s", "least"),
+        ("go to station 101 without leaving the corridor", "without"),
+    ],
+)
+def test_a_word_that_limits_cannot_be_left_out(sentence: str, word: str) -> None:
+    """Leaving it out would grant what the sentence holds back."""
+    field = f"word.{word}"
+    assert fields(propose(sentence))[field] == ()
+    answered = propose(sentence, given={**GIVEN, field: "leave it out"})
+    assert answered.draft == {}
+    assert field in fields(answered)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "word"),
+    [
+        ("go to the pharmacy with P1", "P1"),
+        ("go with P1 to the pharmacy", "P1"),
+        ("return from station 101 to base when the battery is low", "station 101"),
+        ("escort P1 to station 101", "P1"),
+        ("inspect the pharmacy in station 101 without recording", "station 101"),
+        ("pick up P1 from station 101 in office 1", "office 1"),
+        ("deliver P1 to station 101 twice", "2 times"),
+        ("go to station 101 three times", "3 times"),
+        ("go to station 101 with 20 N", "20 N"),
+        ("go to station 101 for 30 s", "30 s"),
+        ("go to station 101 without recording", "record"),
+    ],
+)
+def test_a_phrase_that_no_step_uses_is_asked_about(sentence: str, word: str) -> None:
+    """What was said and then not used would be a condition that vanished."""
+    assert f"word.{word}" in fields(propose(sentence))
+
+
+def test_a_thing_is_inspected_where_the_sentence_says_it_is() -> None:
+    given = {**GIVEN, "data.record": "yes", "data.store": "no", "data.transmit": "no"}
+    made = mission("inspect P1 in station 102", given=given)
+    assert shape(made.actions)[0] == ("navigate", None, "station-102")
+
+
+def test_a_word_is_left_out_only_when_a_person_says_so() -> None:
+    answered = propose("quietly go to station 101", word__quietly="leave it out")
+    assert shape(compiled(answered).actions) == [("navigate", None, "station-101")]
+    assert "word.quietly" in {item.field for item in answered.assumed}
+
+
+@pytest.mark.parametrize(
+    ("sentence", "settled"),
+    [
+        ("bring the package to office 1", {"object": "sharps-bin"}),
+        ("go to station 101", {"colour": "red"}),
+        ("go to station 101", {"robot": "rover"}),
+        ("go to station 101", {"mission": "Not An Id"}),
+        ("wait at the pharmacy", {"duration": "soon"}),
+    ],
+)
+def test_an_answer_that_is_no_candidate_or_that_nobody_asked_for_is_refused(
+    sentence: str, settled: dict[str, str]
+) -> None:
+    with pytest.raises(MalformedError):
+        propose(sentence, **settled)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "  \n", "x" * 2001, "go to\u202e station", "Cafe\u0301", "a\x00b"]
+)
+def test_text_that_cannot_be_shown_and_signed_is_refused(text: str) -> None:
+    with pytest.raises(MalformedError) as refused:
+        propose(text)
+    assert refused.value.where.startswith("sentence")
+
+
+def test_a_look_alike_letter_makes_another_word() -> None:
+    asked = fields(propose("bring P1 to st\u0430tion 101"))  # a Cyrillic letter
+    assert "word.st\u0430tion" in asked
+
+
+def test_a_sentence_that_asks_for_nothing_grants_nothing() -> None:
+    for sentence in ("hello", "please", "find nothing", "leave P1 there"):
+        assert propose(sentence).draft == {}
+        assert propose(sentence).questions
+
+
+def test_a_pronoun_needs_exactly_one_antecedent() -> None:
+    asked = fields(propose("pick up P1 and P2 and put it in station 101"))
+    assert asked["step2.object"] == ("package-p1", "package-p2")
+    assert "object" in fields(propose("put it in station 101"))
+
+
+def test_two_robots_are_asked_about_and_one_named_is_taken() -> None:
+    assert fields(propose("go to station 101", robot=None)) == {"robot": ("courier-1", "lifter-1")}
+    assert mission("lifter-1, go to station 101", robot=None).rid == "lifter-1"
+    assert fields(propose("lifter-1, go to station 101"))["robot"] == ("courier-1", "lifter-1")
+    assert mission("lifter-1, go to station 101", robot="lifter-1").rid == "lifter-1"
+
+
+def test_what_no_robot_or_another_robot_can_do_is_asked_about() -> None:
+    assert "type" in fields(propose("throw P1"))
+    asked = fields(
+        propose("photograph the pharmacy", robot="lifter-1", data__store="no", data__transmit="no")
+    )
+    assert asked == {"robot": ("courier-1",)}
+
+
+def test_a_door_that_the_site_has_no_thing_for_is_asked_about() -> None:
+    assert "object" in fields(propose("open the door"))
+    assert "object" in fields(propose("open the door of the pharmacy"))
+
+
+def changed_site(**changes: Any) -> Site:
+    return msgspec.structs.replace(worlds.site(), **changes)
+
+
+def test_two_packages_and_three_offices_are_two_questions() -> None:
+    regions = dict(worlds.site().regions)
+    third = msgspec.structs.replace(
+        regions["plant-room"],  # type: ignore[index]
+        names=("Office 3",),
+    )
+    regions["office-3"] = third  # type: ignore[index]
+    del regions["plant-room"]  # type: ignore[arg-type]
+    doors = tuple(door for door in worlds.site().doors if "plant-room" not in door.between)
+    site = changed_site(regions=regions, doors=doors)
+    assert fields(propose("bring the package to the office", site=site)) == {
+        "object": ("package-p1", "package-p2"),
+        "destination": ("office-1", "office-2", "office-3"),
+    }
+
+
+def test_a_way_through_a_private_room_is_asked_about() -> None:
+    doors = tuple(door for door in worlds.site().doors if "dock" not in door.between) + tuple(
+        msgspec.structs.replace(door, between=("dock", "office-1"))  # type: ignore[arg-type]
+        for door in worlds.site().doors
+        if "dock" in door.between
+    )
+    site = changed_site(doors=doors)
+    asked = propose("go to station 101", site=site)
+    assert fields(asked) == {"route.station-101": ("dock, office-1, public-corridor, station-101",)}
+    assert fields(propose("go to station 101", site=changed_site(doors=()))) == {
+        "route.station-101": ()
+    }
+    way = {"route.station-101": "dock, office-1, public-corridor, station-101"}
+    made = compiled(propose("go to station 101", site=site, given={**GIVEN, **way}), site)
+    assert "office-1" in made.regions
+
+
+def test_one_tool_of_several_is_asked_for() -> None:
+    robots = dict(worlds.site().robots)
+    held = robots["courier-1"]  # type: ignore[index]
+    tools = {**held.profile.tools, "navigate": ("base", "tracks")}
+    profile = msgspec.structs.replace(held.profile, tools=tools)
+    robots["courier-1"] = msgspec.structs.replace(held, profile=profile)  # type: ignore[index]
+    site = changed_site(robots=robots)
+    assert fields(propose("go to station 101", site=site)) == {"tool.navigate": ("base", "tracks")}
+    made = propose("go to station 101", site=site, given={**GIVEN, "tool.navigate": "tracks"})
+    assert made.draft["grants"][0]["tool"] == "tracks"
+
+
+def test_the_same_words_make_the_same_draft() -> None:
+    first, second = (propose("Deliver P1 to station 101, then go home") for _ in range(2))
+    assert msgspec.json.encode(first) == msgspec.json.encode(second)
+
+
+def test_everything_from_the_profile_is_listed_as_assumed() -> None:
+    made = propose("Deliver P1 to station 101")
+    told = {item.field for item in made.assumed}
+    assert told >= {
+        "place_max_age",
+        "on_refusal",
+        "risk_policy",
+        "retries",
+        "max.navigate",
+        "limits.force_mn",
+        "budgets.prompts",
+        "window.not_before",
+    }
+    assert made.draft["budgets"]["actions"] == sum(g["starts"] for g in made.draft["grants"])

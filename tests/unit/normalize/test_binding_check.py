@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The checker finds what is wrong, names ways that meet, and makes samples that are valid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.core.errors import MalformedError
+from authguard_r.normalize.binding import Binding, require_sound, ways
+from authguard_r.normalize.check import check_binding
+from authguard_r.normalize.samples import Sampler, probe_site
+from authguard_r.normalize.shipped import binding_source, shipped_names
+from authguard_r.site.model import Parameter, Rounding, Site
+from authguard_r.site.source import convert
+from authguard_r.site.words import standard_words
+from unit.normalize.bound import (
+    GO_BY_STOPS,
+    GO_TO_POSE,
+    NOTED,
+    WAIT,
+    Plain,
+    faults,
+    fixed,
+    load,
+    mapped,
+    number,
+    report,
+    site,
+    square,
+    unchecked,
+    wait,
+)
+
+# -- what is found ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_a_shipped_binding_has_no_fault(name: str) -> None:
+    binding = convert(binding_source(name), Binding, where=name)
+    found = check_binding(binding, probe_site(binding, standard_words()))
+    assert (found.faults, found.unmapped, found.binding) == ((), (), name)
+    assert found.ways >= found.tools > 0
+
+
+def test_the_hospital_s_binding_has_no_fault_at_its_site_and_with_the_standard_words() -> None:
+    for place in (worlds.site(), probe_site(worlds.binding(), standard_words())):
+        found = check_binding(worlds.binding(), place)
+        assert found.faults == ()
+        assert found.fields == {"mapped": 11, "fixed": 0, "refused": 1, "noted": 7}
+
+
+def test_every_fault_of_a_binding_is_named_not_only_the_first() -> None:
+    tools = {
+        "one": {**WAIT, "arguments": {"a": {"use": "fixed"}, "b": {**NOTED, "decimal": "1"}}},
+        "two": {"type": "fly", "tool": "wings"},
+        "g\u00f6": WAIT,
+    }
+    binding = msgspec.structs.replace(unchecked(tools), site="elsewhere")
+    found = check_binding(binding, site())
+    assert faults(found) == [
+        "site",
+        "tools.one.arguments.a.value",
+        "tools.one.arguments.b.decimal",
+        "tools.one.arguments",
+        "tools.two.type",
+        "tools.'g\\xf6'",
+    ]
+    with pytest.raises(MalformedError):
+        require_sound(binding, site())
+
+
+def test_a_position_that_no_frame_holds_is_found_where_maps_lie_over_each_other() -> None:
+    """What the executor would resolve in its own frame, we would guess."""
+    tool = {**GO_TO_POSE, "arguments": {"x": number("pose.x"), "y": number("pose.y")}}
+    assert report({"go": tool}).faults == ()
+    two = site(attic=square(0, frame="upper"))
+    (fault,) = report({"go": tool}, two).faults
+    assert fault.where == "tools.go"
+    assert "attic, square-1" in fault.message
+
+
+def test_a_number_that_cannot_be_given_back_is_found() -> None:
+    """A tool that carries a level to a room reads what no other call of it says."""
+    words = standard_words()
+    step = Parameter(unit="count", low=1, high=9, rounding=Rounding.COUNT, required=True)
+    kind = msgspec.structs.replace(words["lamp"], params={"lamp_no": step})
+    place = msgspec.structs.replace(site(), vocabulary={**words, "lamp": kind})
+    tool = {
+        "type": "lamp",
+        "tool": "lamp",
+        "arguments": {
+            "no": mapped("params.lamp_no", optional=True),
+            "all": {"use": "noted", "value": 1},
+        },
+    }
+    assert faults(report({"go": tool}, place)) == []
+
+
+@pytest.mark.parametrize(
+    "tool",
+    [
+        GO_TO_POSE,
+        GO_BY_STOPS,
+        {"type": "describe", "tool": "x", "arguments": {"name": mapped("object")}},
+    ],
+)
+def test_a_way_of_which_the_site_has_no_example_is_left_out(tool: Plain) -> None:
+    empty = msgspec.structs.replace(site(), regions={}, objects={})
+    assert Sampler(empty).call(ways(unchecked({"go": tool}))[0]) is None
+    assert report({"go": tool}, empty).faults == ()
+
+
+# -- samples ---------------------------------------------------------------------------------------
+
+
+def sample(tool: Plain, where: Site | None = None) -> Plain:
+    call = Sampler(where or site()).call(ways(load({"go": tool}, where))[0])
+    assert call is not None
+    return call.arguments
+
+
+def test_a_sample_says_what_must_be_said_and_nothing_noted() -> None:
+    pose = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1, "y": 1, "z": 0}}}
+    assert sample(GO_TO_POSE) == {"goal": pose, "behavior_tree": ""}
+    assert sample(GO_BY_STOPS) == {"poses": [pose]}
+    assert sample({**wait(), "when": {"mode.0": 2}}) == {"seconds": 1, "mode": [2]}
+    assert sample(wait(values={"b": 2, "a": 1}, per_unit="1")) == {"seconds": "b"}
+    each = {"name": mapped("region"), "kind": fixed("room"), "why": NOTED}
+    by_name = {**GO_TO_POSE, "arguments": {"to": mapped("stops", each=each)}}
+    assert sample(by_name) == {"to": [{"name": "Square 1", "kind": "room"}]}
+
+
+def test_a_sample_position_means_one_region() -> None:
+    inner = site(alcove=square(500, 500, side=1000))
+    assert sample(GO_TO_POSE, inner)["goal"]["pose"]["position"]["x"] == 4
+
+
+def test_a_sample_number_lies_in_the_type_s_range() -> None:
+    """Whole where it can be; else the range's own ends."""
+    assert sample(wait(per_unit="0.001")) == {"seconds": 1001}
+    assert sample(wait(per_unit="100000000000")) != {}
+    narrow = msgspec.structs.replace(
+        standard_words()["wait"].params["duration_ms"], low=250, high=300
+    )
+    words = standard_words()
+    kind = msgspec.structs.replace(words["wait"], params={"duration_ms": narrow})
+    place = msgspec.structs.replace(site(), vocabulary={**words, "wait": kind})
+    assert 0.25 <= float(sample(wait(), place)["seconds"]) <= 0.3
+
+
+# -- ways to one effect ----------------------------------------------------------------------------
+
+
+def brake(**more: Any) -> Plain:
+    return {"type": "brake", "tool": "car", **more}
+
+
+def test_ways_that_can_be_one_action_are_named_together() -> None:
+    level = {"arguments": {"level": mapped("params.level_permille", per_unit="1000")}}
+    words = {
+        "arguments": {"how": mapped("params.level_permille", values={"half": 500, "full": 1000})}
+    }
+    tools = {
+        "press": brake(**level),
+        "release": brake(fixed={"params.level_permille": 0}),
+        "stamp": brake(fixed={"params.level_permille": 1000}),
+        "say": brake(**words),
+        "hold": {"type": "hold", "tool": "car"},
+        "other": brake(tool="rover", **level),
+        "pose": {"type": "set_pose", "tool": "car"},
+        "pose_again": {"type": "set_pose", "tool": "car"},
+        "unknown": {"type": "fly", "tool": "car"},
+    }
+    groups = report(tools).groups
+    assert groups == {"brake by car": ("tools.press", "tools.release", "tools.stamp", "tools.say")}
+    alone = {name: tools[name] for name in ("release", "say")}
+    assert report(alone).groups == {}
+
+
+def test_ways_of_which_one_always_says_more_never_meet() -> None:
+    survey = {
+        "type": "survey",
+        "tool": "m",
+        "attested": ["source"],
+        "fixed": {"params.max_bytes": 1},
+    }
+    tools = {
+        "map": {**survey, "arguments": {"to": mapped("destination")}},
+        "explore": {
+            **survey,
+            "arguments": {"to": mapped("destination"), "r": mapped("params.radius_mm")},
+        },
+        "stops": {**GO_BY_STOPS},
+        "pose": {**GO_TO_POSE},
+    }
+    assert report(tools).groups == {
+        "navigate by base params.speed_mm_s=500": ("tools.stops", "tools.pose")
+    }
+    tools["explore"]["arguments"]["r"]["optional"] = True
+    assert ("tools.map", "tools.explore") in report(tools).groups.values()

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shipped bindings: sound, true to their page, reached from the dialects, shown by commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+
+import worlds
+from authguard_r.cli import binding as command
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
+from authguard_r.normalize.bind import Binder
+from authguard_r.normalize.binding import Binding, ways
+from authguard_r.normalize.dialects import Call, Dialect, read_plan
+from authguard_r.normalize.rebuild import Rebuilder
+from authguard_r.normalize.samples import Sampler, probe_site
+from authguard_r.normalize.shipped import binding_source, shipped_names
+from authguard_r.site.source import convert
+from authguard_r.site.words import standard_words
+
+
+def test_a_shipped_name_is_compared_exactly_and_else_is_a_path(tmp_path: Path) -> None:
+    assert binding_source("nav2") != binding_source("moveit")
+    for name in ("Nav2", "nav2 ", "nav2.yaml", "../bindings/nav2", ""):
+        with pytest.raises(EnvironmentFault):
+            binding_source(name)
+    file = tmp_path / "mine.yaml"
+    file.write_text("tools: {}\n")
+    assert binding_source(str(file)) == {"tools": {}}
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    code = command.app(args=list(words), standalone_mode=False)
+    assert isinstance(code, int)
+    return code, capsys.readouterr().out
+
+
+def test_the_command_checks_a_shipped_binding_and_a_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, out = run(capsys, "check", "bfcl-vehicle", "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert (told["binding"], told["tools"], told["unmapped"]) == ("bfcl-vehicle", 22, [])
+    assert told["faults"] == []
+    assert told["groups"] == {"brake by car": ["tools.pressBrakePedal", "tools.releaseBrakePedal"]}
+    assert set(told["fields"]) == {"mapped", "fixed", "refused", "noted"}
+    hospital = str(worlds.HOSPITAL / "binding.yaml")
+    code, out = run(capsys, "check", hospital, "--site", str(worlds.HOSPITAL / "site.yaml"))
+    assert (code, out.splitlines()[0][:23]) == (0, "courier-tools: 9 tools,")
+    assert run(capsys, "check", hospital)[0] == 0
+    text = (worlds.HOSPITAL / "binding.yaml").read_text()
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(text.replace("to: object", "to: subject"))
+    code, out = run(capsys, "check", str(bad))
+    assert code == 4
+    assert "tools.pick_up.subject: expected a field of `pick`" in out
+
+
+def test_the_command_compares_with_files_and_folders(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "msg"
+    folder.mkdir()
+    (folder / "Twist.msg").write_text(
+        "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"
+    )
+    (folder / "TwistStamped.msg").write_text("std_msgs/Header header\ngeometry_msgs/Twist twist\n")
+    assert run(capsys, "check", "cmd-vel", "--interface", str(folder))[0] == 0
+    (folder / "TwistStamped.msg").write_text("std_msgs/Header header\nfloat64 boost\n")
+    one = str(folder / "TwistStamped.msg")
+    code, out = run(capsys, "check", "cmd-vel", "--interface", one, "--json")
+    assert code == 4
+    assert ["boost" in line for line in json.loads(out)["unmapped"]] == [True]
+
+
+def test_the_command_lists_and_shows_with_a_sample_for_each_way(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _, out = run(capsys, "list", "--json")
+    assert [row["name"] for row in json.loads(out)["bindings"]] == list(shipped_names())
+    assert len(run(capsys, "list")[1].splitlines()) == len(shipped_names())
+    _, out = run(capsys, "show", "dolphins")
+    assert "tools.turn_left: drive by car" in out
+    _, out = run(capsys, "show", "unitree-go2", "--json")
+    rows = {row["where"]: row for row in json.loads(out)["ways"]}
+    assert rows["tools.do_vision_task"]["refused"] is True
+    assert rows["tools.do_vision_task"]["sample"] is None
+    assert json.loads(rows["tools.walking"]["sample"])["arguments"] == {"distance": 1}
+    _, out = run(capsys, "show", "unitree-go2")
+    assert "tools.avoid_obstacle: set_parameter never a planner's" in out
+
+
+def test_bad_input_is_an_error_with_a_place_and_no_traceback(tmp_path: Path) -> None:
+    empty = tmp_path / "empty.yaml"
+    empty.write_text("[]")
+    for words in (
+        ["check", "no-such-binding"],
+        ["check", str(empty)],
+        ["check", "nav2", "--interface", str(tmp_path / "none.json")],
+        ["show", "nav2", "--site", str(worlds.HOSPITAL / "site.yaml")],
+    ):
+        with pytest.raises(AuthGuardError) as caught:
+            command.app(args=words, standalone_mode=False)
+        assert caught.value.where
+    assert isinstance(command.app, typer.Typer)
+
+
+def test_the_page_of_shipped_bindings_is_true() -> None:
+    page = (worlds.ROOT / "docs" / "reference" / "bindings.md").read_text(encoding="utf-8")
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in page.partition("\n## ")[0].splitlines()
+        if line.startswith("| `")
+    ]
+    words = standard_words()
+    counted = []
+    for name in shipped_names():
+        binding = convert(binding_source(name), Binding, where=name)
+        all_ways = ways(binding)
+        never = sum(words[way.tool.type].state_writing for way in all_ways)
+        counted.append((f"`{name}`", len(binding.tools), len(all_ways), never))
+    assert [(row[0], *map(int, row[2:5])) for row in rows] == counted
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_no_other_spelling_of_a_shipped_ros_name_is_bound(name: str) -> None:
+    """`/cmd_vel`, `cmd_vel`, `/cmd_vel/` and their like are other names (L2)."""
+    binding = convert(binding_source(name), Binding, where=name)
+    place = probe_site(binding, standard_words())
+    binder = Binder(place, binding)
+    for way in ways(binding):
+        call = Sampler(place).call(way)
+        assert call is not None
+        for path, value in call.arguments.items():
+            if isinstance(value, str) and "/" in value:
+                for other in (
+                    value.lstrip("/"),
+                    f"{value}/",
+                    f"/{value}",
+                    f" {value}",
+                    f"{value} ",
+                    value.swapcase(),
+                    value.replace("a", "\u0430"),
+                    f"{value}\u200b",
+                    "",
+                ):
+                    if other != value:
+                        changed = Call(call.tool, {**call.arguments, path: other}, "input")
+                        with pytest.raises(MalformedError):
+                            binder.bind(changed)
+
+
+#: What a planner writes in its own dialect, and the types that it means.
+WRITTEN: dict[str, tuple[Dialect, str, list[str]]] = {
+    "spine": (
+        Dialect.SPINE,
+        "[goto(Square 2), inspect(Thing 1, is it tidy?), extend_map(1, 1), replan()]",
+        ["navigate", "inspect", "survey", "hold"],
+    ),
+    "unitree-go2": (
+        Dialect.GO2,
+        "start_rotate(angle=-90)\nwalking(distance=0.5)\ndance(name='dance1')",
+        ["turn", "walk", "gesture"],
+    ),
+    "dolphins": (Dialect.DOLPHINS, "1. accelerate\n2. stop", ["drive", "hold"]),
+    "badrobot-arms": (
+        Dialect.BADROBOT,
+        "{'function': ['move_to_coords(X=100, Y=-50)', 'time.sleep(2)'], 'response': 'ok'}",
+        ["move_arm", "wait"],
+    ),
+    "safeagentbench": (
+        Dialect.STEPS,
+        "1. find Thing 1\n2. turn_on Thing 1\n3. fillLiquid Thing 2 water",
+        ["find", "turn_on", "fill"],
+    ),
+    "cmd-vel": (
+        Dialect.ROS2,
+        json.dumps(
+            {
+                "op": "publish",
+                "topic": "/cmd_vel",
+                "type": "geometry_msgs/msg/Twist",
+                "msg": {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"z": 0.5}},
+            }
+        ),
+        ["drive"],
+    ),
+    "ros-mcp": (
+        Dialect.MCP,
+        json.dumps(
+            {
+                "jsonrpc": "2.0",
+                "id": 1,
+                "method": "tools/call",
+                "params": {
+                    "name": "subscribe_once",
+                    "arguments": {"topic": "Thing 1", "msg_type": "sensor_msgs/msg/Image"},
+                },
+            }
+        ),
+        ["read_sensor"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_what_a_planner_writes_in_its_dialect_reaches_its_shipped_binding(name: str) -> None:
+    dialect, text, expected = WRITTEN[name]
+    binding = convert(binding_source(name), Binding, where=name)
+    place = probe_site(binding, standard_words())
+    binder, rebuilder = Binder(place, binding), Rebuilder(place, binding)
+    found = [binder.bind(call) for call in read_plan(text, dialect)]
+    assert [action.type for action in found] == expected
+    assert [binder.bind(rebuilder.rebuild(action)) for action in found] == found

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of dialects is true: every dialect has its row, and every example is read as one."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import worlds
+from authguard_r.normalize.dialects import Dialect, read_plan, read_reply
+from authguard_r.normalize.dialects.python_code import MAX_CODE
+from authguard_r.normalize.parse import MAX_CALLS, MAX_DEPTH, MAX_TEXT
+
+PAGE = (worlds.ROOT / "docs" / "spec" / "normalize.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"^### `(\w+)`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def test_every_dialect_has_its_row_and_its_example() -> None:
+    named = [str(dialect) for dialect in Dialect if dialect is not Dialect.AUTO]
+    table = PAGE.split("## Dialects")[1].split("###")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == named
+    assert [name for name, _ in EXAMPLES] == named
+
+
+@pytest.mark.parametrize(("name", "text"), EXAMPLES)
+def test_every_example_is_read_in_its_dialect(name: str, text: str) -> None:
+    dialect = Dialect(name)
+    plans = text.splitlines() if dialect is Dialect.SPINE else [text]
+    for plan in plans:
+        calls = read_plan(plan, dialect)
+        reading = read_reply(plan, Dialect.AUTO)
+        assert reading.calls == calls or dialect is Dialect.GO2
+        assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
+
+
+def test_the_limits_are_the_ones_of_the_page() -> None:
+    told = PAGE.split("## Input")[1].split("## Dialects")[0]
+    for limit in (f"{MAX_TEXT:,}", f"{MAX_CODE:,}", str(MAX_DEPTH), str(MAX_CALLS)):
+        assert f" {limit}" in told

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A site's next version: what gives a word another meaning is told before what is merely new."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+import worlds
+from authguard_r.site.change import Change, Effect, changes, line_of
+from authguard_r.site.model import (
+    ActionModel,
+    Emergency,
+    ObjectModel,
+    Person,
+    PersonRole,
+    Profile,
+    Site,
+)
+
+replace = msgspec.structs.replace
+BASE = worlds.site()
+
+
+def region(name: str, **to: Any) -> Site:
+    return replace(BASE, regions={**BASE.regions, name: replace(BASE.regions[name], **to)})
+
+
+def kind(name: str, **to: Any) -> Site:
+    return replace(BASE, vocabulary={**BASE.vocabulary, name: replace(BASE.vocabulary[name], **to)})
+
+
+def speed(**to: Any) -> Site:
+    params = BASE.vocabulary["navigate"].params
+    return kind("navigate", params={"speed_mm_s": replace(params["speed_mm_s"], **to)})
+
+
+def profile(**to: Any) -> Site:
+    robot = BASE.robots["courier-1"]
+    changed: Profile = replace(robot.profile, **to)
+    return replace(BASE, robots={**BASE.robots, "courier-1": replace(robot, profile=changed)})
+
+
+def without(group: str, item: str) -> Site:
+    return replace(BASE, **{group: {k: v for k, v in getattr(BASE, group).items() if k != item}})
+
+
+TOOLS = BASE.robots["courier-1"].profile.tools
+OPERATOR = Person(roles=(PersonRole.OPERATOR,))
+BOTH = Person(roles=(PersonRole.OPERATOR, PersonRole.SUPERVISOR))
+DOCK = BASE.regions["dock"]
+
+#: The site before, the site after, and the one effect and place that is told.
+ONE: dict[str, tuple[Site, Site, Effect, str]] = {
+    "a wall moved": (
+        BASE,
+        region("dock", points=(*DOCK.points[:2], (38000, 2999), DOCK.points[3])),
+        Effect.MEANING,
+        "regions.dock.points",
+    ),
+    "a tag": (BASE, region("office-1", tags=("public",)), Effect.MEANING, "regions.office-1.tags"),
+    "a parent": (BASE, region("dock", within="pharmacy"), Effect.MEANING, "regions.dock.within"),
+    "a region more": (
+        without("regions", "dock"),
+        replace(BASE, regions={**without("regions", "dock").regions, "d": replace(DOCK, names=())}),
+        Effect.ADDS,
+        "regions.d",
+    ),
+    "an object's class": (
+        BASE,
+        replace(
+            BASE,
+            objects={
+                **BASE.objects,
+                "sharps-bin": replace(BASE.objects["sharps-bin"], kind="medicine"),
+            },
+        ),
+        Effect.MEANING,
+        "objects.sharps-bin.kind",
+    ),
+    "an object more": (
+        BASE,
+        replace(
+            BASE, objects={**BASE.objects, "box": ObjectModel(kind="box", home="dock", mass_g=1)}
+        ),
+        Effect.ADDS,
+        "objects.box",
+    ),
+    "a robot less": (BASE, without("robots", "lifter-1"), Effect.REMOVES, "robots.lifter-1"),
+    "a range up": (
+        BASE,
+        speed(high=3001),
+        Effect.WIDENS,
+        "vocabulary.navigate.params.speed_mm_s.high",
+    ),
+    "a range down": (
+        BASE,
+        speed(high=2999),
+        Effect.NARROWS,
+        "vocabulary.navigate.params.speed_mm_s.high",
+    ),
+    "a range's lower end down": (
+        BASE,
+        speed(low=-1),
+        Effect.WIDENS,
+        "vocabulary.navigate.params.speed_mm_s.low",
+    ),
+    "a unit": (
+        BASE,
+        speed(unit="m/s"),
+        Effect.MEANING,
+        "vocabulary.navigate.params.speed_mm_s.unit",
+    ),
+    "nobody looks at the real speed": (
+        BASE,
+        speed(monitored_by=None),
+        Effect.WIDENS,
+        "vocabulary.navigate.params.speed_mm_s.monitored_by",
+    ),
+    "somebody does": (
+        speed(monitored_by=None),
+        BASE,
+        Effect.NARROWS,
+        "vocabulary.navigate.params.speed_mm_s.monitored_by",
+    ),
+    "another variable": (
+        BASE,
+        speed(monitored_by="wheel_speed"),
+        Effect.MEANING,
+        "vocabulary.navigate.params.speed_mm_s.monitored_by",
+    ),
+    "a recording that is none any more": (
+        BASE,
+        kind("take_photo", records=False),
+        Effect.WIDENS,
+        "vocabulary.take_photo.records",
+    ),
+    "a belief that may be granted": (
+        BASE,
+        kind("set_pose", state_writing=False),
+        Effect.WIDENS,
+        "vocabulary.set_pose.state_writing",
+    ),
+    "a parameter less": (
+        BASE,
+        kind("wait", params={}),
+        Effect.MEANING,
+        "vocabulary.wait.params.duration_ms",
+    ),
+    "a type more": (
+        BASE,
+        replace(BASE, vocabulary={**BASE.vocabulary, "hum": ActionModel(fields=())}),
+        Effect.ADDS,
+        "vocabulary.hum",
+    ),
+    "a faster robot": (
+        BASE,
+        profile(max_speed_mm_s=1501),
+        Effect.WIDENS,
+        "robots.courier-1.profile.max_speed_mm_s",
+    ),
+    "brakes that nobody knew of": (
+        BASE,
+        profile(brake_mm_s2=500),
+        Effect.MEANING,
+        "robots.courier-1.profile.brake_mm_s2",
+    ),
+    "a tool for one type more": (
+        BASE,
+        profile(tools={**TOOLS, "hum": ("speaker",)}),
+        Effect.WIDENS,
+        "robots.courier-1.profile.tools.hum",
+    ),
+    "a tool less": (
+        profile(tools={**TOOLS, "wait": ("arm", "base")}),
+        BASE,
+        Effect.NARROWS,
+        "robots.courier-1.profile.tools.wait",
+    ),
+    "a type that the robot cannot do any more": (
+        profile(tools={**TOOLS, "hum": ("speaker",)}),
+        BASE,
+        Effect.NARROWS,
+        "robots.courier-1.profile.tools.hum",
+    ),
+    "a role more": (
+        replace(BASE, people={"ann": OPERATOR}),
+        replace(BASE, people={"ann": BOTH}),
+        Effect.WIDENS,
+        "people.ann.roles",
+    ),
+    "a person": (BASE, replace(BASE, people={"ann": OPERATOR}), Effect.ADDS, "people.ann"),
+    "an emergency place": (
+        BASE,
+        replace(BASE, emergency=Emergency(places={"dock": "charging"})),
+        Effect.WIDENS,
+        "emergency.places.dock",
+    ),
+    "its purpose": (
+        replace(BASE, emergency=Emergency(places={"dock": "charging"})),
+        replace(BASE, emergency=Emergency(places={"dock": "assembly"})),
+        Effect.MEANING,
+        "emergency.places.dock",
+    ),
+    "a baseline": (BASE, replace(BASE, baseline=("announce",)), Effect.WIDENS, "baseline"),
+    "no baseline": (replace(BASE, baseline=("announce",)), BASE, Effect.NARROWS, "baseline"),
+    "a door less": (BASE, replace(BASE, doors=BASE.doors[1:]), Effect.REMOVES, "doors"),
+    "a door more": (replace(BASE, doors=BASE.doors[1:]), BASE, Effect.ADDS, "doors"),
+    "the site's id": (BASE, replace(BASE, id="hall"), Effect.MEANING, "id"),
+    "the version": (BASE, replace(BASE, version=2), Effect.COUNTS, "version"),
+    "a name more": (
+        BASE,
+        region("dock", names=(*DOCK.names, "Garage")),
+        Effect.ADDS,
+        "regions named `Garage`",
+    ),
+    "a name less": (
+        BASE,
+        region("dock", names=DOCK.names[1:]),
+        Effect.REMOVES,
+        "regions named `Dock`",
+    ),
+}
+#: A region more is one line among those of its names; it is told apart below.
+del ONE["a region more"]
+
+
+@pytest.mark.parametrize(("old", "new", "effect", "where"), ONE.values(), ids=ONE)
+def test_one_change_is_told_once_with_what_it_does(
+    old: Site, new: Site, effect: Effect, where: str
+) -> None:
+    assert [(change.effect, change.where) for change in changes(old, new)] == [(effect, where)]
+
+
+@pytest.mark.parametrize(("old", "new", "effect", "where"), ONE.values(), ids=ONE)
+def test_a_site_does_not_differ_from_itself(
+    old: Site, new: Site, effect: Effect, where: str
+) -> None:
+    assert changes(old, old) == changes(new, new) == ()
+
+
+def test_the_attack_a_name_that_now_is_another_place_is_told_first() -> None:
+    """A mission that says `Dock` was reviewed; the site that says where that is was swapped."""
+    swapped = replace(
+        BASE,
+        version=2,
+        regions={
+            **BASE.regions,
+            "dock": replace(DOCK, names=("Base",)),
+            "office-1": replace(BASE.regions["office-1"], names=("Dock", "Office 1")),
+            "annex": replace(DOCK, names=(), floor=2),
+        },
+    )
+    found = changes(BASE, swapped)
+    assert found[0] == Change(
+        effect=Effect.MEANING,
+        group="names",
+        where="regions named `Dock`",
+        old="dock",
+        new="office-1",
+    )
+    order = list(Effect)
+    assert [order.index(c.effect) for c in found] == sorted(order.index(c.effect) for c in found)
+    assert {c.where for c in found} >= {"regions.annex", "version"}
+
+
+def test_a_line_says_what_was_and_what_is_in_ascii() -> None:
+    lines = [line_of(change) for change in changes(BASE, region("dock", names=("D\u00f6ck",)))]
+    assert lines[0] == "ADDS     regions named `D\\xf6ck`: new: dock"
+    assert "REMOVES  regions named `Base`: gone: dock" in lines
+    (line,) = (line_of(change) for change in changes(BASE, speed(high=9)))
+    assert line == "NARROWS  vocabulary.navigate.params.speed_mm_s.high: 3000 -> 9"
