@@ -21,6 +21,7 @@ from authguard_r.core.errors import (
     ClarificationError,
     MalformedError,
     RefusedError,
+    shown,
 )
 from authguard_r.core.finding import Finding, deviation
 from authguard_r.core.safety import SafetyDecision
@@ -34,8 +35,16 @@ def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> Non
     if as_json:
         sys.stdout.write(json.dumps(payload) + "\n")
     else:
-        sys.stdout.write("".join(f"{line}\n" for line in lines))
+        sys.stdout.write("".join(f"{_printed(line)}\n" for line in lines))
     sys.stdout.flush()
+
+
+def _printed(lines: str) -> str:
+    """Return text without control characters; it may have several lines of its own."""
+    return "\n".join(
+        "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        for line in lines.split("\n")
+    )
 
 
 def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: int) -> int:
@@ -45,7 +54,7 @@ def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: in
         sys.stdout.write(json.dumps({"error": error}) + "\n")
     else:
         place = f" (at {where})" if where else ""
-        sys.stderr.write(f"{reason}: {message}{place}\n")
+        sys.stderr.write(f"{shown(reason)}: {shown(message)}{shown(place)}\n")
     return code
 
 
@@ -57,13 +66,13 @@ def emit_clarification(error: ClarificationError, *, as_json: bool) -> int:
             {"field": e.field, "question": e.question, "candidates": list(e.candidates)}
             for e in asked
         ]
-        shown = {"code": str(error.reason), "message": error.message, "where": error.where}
-        answer = {"error": shown, "clarification": questions[0], "clarifications": questions}
+        told = {"code": str(error.reason), "message": error.message, "where": error.where}
+        answer = {"error": told, "clarification": questions[0], "clarifications": questions}
         sys.stdout.write(json.dumps(answer) + "\n")
     else:
         for e in asked:
-            sys.stderr.write(f"{e.reason}: {e.question} (at {e.field})\n")
-            sys.stderr.writelines(f"  {candidate}\n" for candidate in e.candidates)
+            sys.stderr.write(f"{e.reason}: {e.message} (at {e.where})\n")
+            sys.stderr.writelines(f"  {shown(candidate)}\n" for candidate in e.candidates)
     return 3
 
 

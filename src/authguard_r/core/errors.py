@@ -19,21 +19,32 @@ from __future__ import annotations
 
 from authguard_r.core.reasons import Reason
 
+#: Longest message or place of an error, in characters; what is longer is cut.
+MAX_SHOWN = 1_000
+
+
+def shown(text: str) -> str:
+    """Return text that a log can hold and a terminal can print: cut, and escaped where it must be.
+
+    Whoever wrote the text chose its length and its control characters too.
+    """
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:MAX_SHOWN])
+
 
 class AuthGuardError(Exception):
     """Something that is not a decision went wrong.
 
     Args:
-        message: what was expected and what was found; holds no secrets.
+        message: what was expected and what was found, made printable; holds no secrets.
         reason: the code that a refusal made of this error carries.
         where: the place in the input (`actions[2].limits`), empty when there is none.
     """
 
     def __init__(self, message: str, *, reason: Reason, where: str = "") -> None:
         super().__init__(message)
-        self.message = message
+        self.message = shown(message)
         self.reason = reason
-        self.where = where
+        self.where = shown(where)
 
     def __str__(self) -> str:
         place = f" at `{self.where}`" if self.where else ""
@@ -70,8 +81,7 @@ class ClarificationError(AuthGuardError):
         others: tuple[ClarificationError, ...] = (),
     ) -> None:
         super().__init__(question, reason=Reason.CLARIFICATION_NEEDED, where=field)
-        self.question = question
-        self.field = field
+        self.question, self.field = self.message, self.where
         self.candidates = candidates
         self.others = others
 

@@ -16,6 +16,7 @@ from typing import Any
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import NameOID, ObjectIdentifier
 from msgspec import Struct
 
@@ -139,9 +140,13 @@ def load(der: bytes, *, where: str) -> x509.Certificate:
         AuthenticityError: they are none.
     """
     try:
-        return x509.load_der_x509_certificate(der)
-    except (ValueError, x509.InvalidVersion) as error:
+        certificate = x509.load_der_x509_certificate(der)
+        positive = certificate.serial_number > 0
+    except (ValueError, x509.InvalidVersion, CryptographyDeprecationWarning) as error:
         raise _bad("expected a DER certificate", where) from error
+    if not positive:
+        raise _bad("expected a positive serial number", where)
+    return certificate
 
 
 def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: Now) -> Leaf:

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from msgspec import Struct
 
 from authguard_r.site.model import ActionModel, Site
-from authguard_r.site.names import name_faults, twin_faults
+from authguard_r.site.names import name_faults, shown, twin_faults
 from authguard_r.site.places import door_faults, hierarchy_faults, overlap_faults, region_faults
+from authguard_r.site.units import unit_fault
 
 #: What an import writes where only a person can say; a site that holds it is not signed.
 UNREVIEWED = "unreviewed"
@@ -66,6 +67,9 @@ def _vocabulary(site: Site) -> Iterator[tuple[str, str]]:
         if list(model.fields) != sorted(set(model.fields)):
             yield f"{place}.fields", "expected a sorted set"
         for name, parameter in model.params.items():
+            told = unit_fault(name, parameter.unit)
+            if told is not None:
+                yield f"{place}.params.{name}.unit", f"{told}, got `{shown(parameter.unit)}`"
             if parameter.low > parameter.high:
                 yield f"{place}.params.{name}.high", "expected at least `low`"
         if model.records and "max_bytes" not in model.params:

@@ -122,7 +122,13 @@ class Parameter(_Model, frozen=True, kw_only=True):
 
 
 class ActionModel(_Model, frozen=True, kw_only=True):
-    """One canonical action type; see `core.facts.ActionKind` for the flags."""
+    """One canonical action type; see `core.facts.ActionKind` for the flags.
+
+    Args:
+        physical: how badly a body or property can be hurt, whatever the parameters say: 0 not at
+            all, 1 a bruise or a scratch, 2 an injury or a thing destroyed, 3 a life. For people
+            who read the site and review a mission; the decision's risk does not weigh it yet.
+    """
 
     fields: tuple[Literal["destination", "object", "route", "source"], ...]
     params: dict[ParameterId, Parameter] = {}
@@ -132,6 +138,7 @@ class ActionModel(_Model, frozen=True, kw_only=True):
     stores: bool = False
     transmits: bool = False
     privacy: Annotated[int, Meta(ge=0, le=3)] = 0
+    physical: Annotated[int, Meta(ge=0, le=3)] = 0
     state_writing: bool = False
 
 

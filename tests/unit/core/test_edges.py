@@ -351,3 +351,20 @@ def test_a_tool_that_this_robot_does_not_have_exceeds_its_capability() -> None:
     case = _with_grant(_plain(Random(1)), tool="claw")
     found = decide_case(_with_action(case, tool="claw")).findings
     assert [(str(f.reason), f.field) for f in found] == [("CAPABILITY_EXCEEDED", "tool")]
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("expected `Büro 1`", "expected `Büro 1`"),
+        ("a\x1b[2Jb", "a\\x1b[2Jb"),
+        ("two\nlines\ttab", "two\\nlines\\ttab"),
+        ("half \ud800 a character", "half \\ud800 a character"),
+        ("\u202ereversed", "\\u202ereversed"),
+        ("k" * 200_000, "k" * 1_000),
+    ],
+)
+def test_an_error_can_be_logged_and_printed_whoever_wrote_its_text(text: str, wanted: str) -> None:
+    error = MalformedError(text, where=text)
+    assert (error.message, error.where) == (wanted, wanted)
+    assert str(error).encode("utf-8")

@@ -520,3 +520,25 @@ def test_a_leaf_is_what_was_said_and_cannot_be_changed() -> None:
     with pytest.raises(AttributeError):
         found.role = Role.SUPERVISOR  # type: ignore[misc]
     assert msgspec.structs.replace(found, serial=1).serial == 1
+
+
+def with_serial(der: bytes, first: int) -> bytes:
+    """Return the certificate with another first byte of its serial number."""
+    serial = x509.load_der_x509_certificate(der).serial_number
+    spelled = serial.to_bytes((serial.bit_length() + 8) // 8, "big")
+    at = der.index(spelled)
+    return der[:at] + bytes([first]) + der[at + 1 :]
+
+
+@pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning")
+def test_a_serial_number_below_zero_is_refused() -> None:
+    leaf = chains.leaf(house().people, serial=1 << 100)
+    with pytest.raises(AuthenticityError, match="positive serial"):
+        load(with_serial(leaf.der, 0x90), where=LEAF)
+
+
+def test_a_library_that_warns_of_a_serial_number_refuses_it_too() -> None:
+    leaf = chains.leaf(house().people, serial=1 << 100)
+    with pytest.raises(AuthenticityError) as caught:
+        load(with_serial(leaf.der, 0x90), where=LEAF)
+    assert caught.value.reason is Reason.CERTIFICATE_INVALID
