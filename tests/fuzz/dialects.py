@@ -2,8 +2,9 @@
 """Coverage-guided fuzzing of the normalizer: what leaves it is a plan or a refusal with a place.
 
 `python3 dev.py fuzz [SECONDS]` runs it for a minute or as long as it is told; a night is better.
-The first byte picks the dialect, the rest is the planner's. Anything but an answer or a refusal,
-and anything that takes longer than a second, is a finding that atheris saves and reports.
+The first byte picks the dialect, the second the binding, the rest is the planner's. Anything but
+an answer or a refusal, and anything that takes longer than a second, is a finding that atheris
+saves and reports.
 """
 
 from __future__ import annotations
@@ -19,30 +20,42 @@ SECONDS_FOR_ONE = 1
 with atheris.instrument_imports(include=["authguard_r.normalize"]):
     from authguard_r.core.errors import ClarificationError, MalformedError
     from authguard_r.normalize import Binder, Dialect, normalize
-    from authguard_r.normalize.binding import load_binding
-    from authguard_r.site.source import read_site, read_text, read_yaml
+    from authguard_r.normalize.binding import Binding, load_binding
+    from authguard_r.normalize.samples import probe_site
+    from authguard_r.normalize.shipped import binding_source, shipped_names
+    from authguard_r.site.source import convert, read_site, read_text, read_yaml
+    from authguard_r.site.words import standard_words
+
+sys.path.insert(0, str(ROOT / "tests"))
+from unit.normalize.writers import WAYS  # noqa: E402 - after the instrumented imports
 
 DIALECTS = tuple(Dialect)
 
 
-def binder() -> Binder:
+def hospital() -> Binder:
     """Return the shipped hospital's binder."""
-    hospital = ROOT / "examples" / "hospital"
-    site = read_site(hospital / "site.yaml")
-    plain = read_yaml(read_text(hospital / "binding.yaml"), where="binding")
+    folder = ROOT / "examples" / "hospital"
+    site = read_site(folder / "site.yaml")
+    plain = read_yaml(read_text(folder / "binding.yaml"), where="binding")
     return Binder(site, load_binding(plain, site=site, where="binding"))
 
 
-BINDER = binder()
+def shipped(name: str) -> Binder:
+    """Return the binder of a shipped binding at a small site of its own."""
+    binding = convert(binding_source(name), Binding, where=name)
+    return Binder(probe_site(binding, standard_words()), binding)
+
+
+BINDERS = (hospital(), *map(shipped, shipped_names()))
 
 
 def one(data: bytes) -> None:
     """Normalize one input."""
-    if not data:
+    if len(data) < 2:
         return
-    dialect = DIALECTS[data[0] % len(DIALECTS)]
+    dialect, binder = DIALECTS[data[0] % len(DIALECTS)], BINDERS[data[1] % len(BINDERS)]
     try:
-        plan = normalize(data[1:], binder=BINDER, dialect=dialect)
+        plan = normalize(data[2:], binder=binder, dialect=dialect)
     except (MalformedError, ClarificationError) as refusal:
         if not refusal.where:
             raise RuntimeError(f"a refusal without a place: {refusal}") from refusal
@@ -52,12 +65,15 @@ def one(data: bytes) -> None:
 
 
 def seeds(folder: Path) -> None:
-    """Write what planners really say, once for each dialect, as the corpus to start from."""
+    """Write what planners really say, in every dialect, as the corpus to start from."""
     folder.mkdir(parents=True, exist_ok=True)
     replies = sorted((ROOT / "examples" / "hospital" / "replies").iterdir())
-    for number in range(len(DIALECTS)):
-        for reply in replies:
-            (folder / f"{number}-{reply.name}").write_bytes(bytes([number]) + reply.read_bytes())
+    said = {reply.name: (Dialect.AUTO, reply.read_bytes()) for reply in replies}
+    said |= {name: (d, write(*calls).encode()) for name, (d, write, calls) in WAYS.items()}
+    for name, (dialect, text) in said.items():
+        for number in range(len(BINDERS)):
+            start = bytes([DIALECTS.index(dialect), number])
+            (folder / f"{number}-{name}").write_bytes(start + text)
 
 
 if __name__ == "__main__":
