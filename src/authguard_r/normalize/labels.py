@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from authguard_r.core.action import Action
 from authguard_r.core.checks.provenance import CHOSEN, open_rows, selectable_rows
-from authguard_r.core.mission import Grant
+from authguard_r.core.mission import Grant, Row
 from authguard_r.core.provenance import PRIVILEGED, TRUST, Chooser, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
@@ -43,16 +43,15 @@ def _chosen_by(
 
     A planner may choose among grants, that is how it does its task; it may not choose within one.
     """
-    value = getattr(action, field)
-    grants = [verified.grants[place].grant for place in verified.by_type.get(action.type, ())]
-    settled = [
-        _settled_by(field, action, grant, standing)
-        for grant in grants
-        if any(getattr(row, field) == value for row in selectable_rows(grant, standing))
-    ]
-    found = [label for label in settled if label is not None]
-    if len(found) < len(settled):
-        return None
+    value, found = getattr(action, field), list[Label]()
+    for place in verified.by_type.get(action.type, ()):
+        grant = verified.grants[place].grant
+        if value not in _values(field, selectable_rows(grant, standing)):
+            continue
+        label = _settled_by(field, action, grant, standing)
+        if label is None:
+            return None
+        found.append(label)
     return max(found, key=TRUST.index, default=None)
 
 
@@ -60,13 +59,14 @@ def _settled_by(
     field: str, action: Action, grant: Grant, standing: Standing | None
 ) -> Label | None:
     """Return whose word leaves exactly this value: the signer's, the chooser's, the sensor's."""
-    chooser = Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR
-    left = (
-        (Label.OPERATOR, grant.alternatives),
-        (chooser, selectable_rows(grant, standing)),
-        (Label.TRUSTED_SENSOR, open_rows(grant, standing, action.source)),
-    )
-    value = getattr(action, field)
-    return next(
-        (label for label, rows in left if all(getattr(row, field) == value for row in rows)), None
-    )
+    only = {getattr(action, field)}
+    if _values(field, grant.alternatives) == only:
+        return Label.OPERATOR
+    if _values(field, selectable_rows(grant, standing)) == only:
+        return Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR
+    settled = _values(field, open_rows(grant, standing, action.source)) == only
+    return Label.TRUSTED_SENSOR if settled else None
+
+
+def _values(field: str, rows: tuple[Row, ...]) -> set[str | None]:
+    return {getattr(row, field) for row in rows}
