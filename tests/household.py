@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
 
+#: The page that lists what does not run.
+REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "household.md"
 KITCHEN = "kitchen"
 ROBOT = "helper-1"
 #: What a thing of the household lends itself to; the shipped profile knows these classes.
@@ -144,6 +147,33 @@ def tasks(folder: Path) -> list[dict[str, Any]]:
             if line.strip():
                 found.append({**json.loads(line), "file": path.stem, "line": number})
     return found
+
+
+def counts(counted: Mapping[str, int]) -> str:
+    """Return the line of the reference that says how many tasks ended how."""
+    return (
+        f"{sum(counted.values())} tasks: executed {counted['executed']}, asked {counted['asked']}, "
+        f"refused {counted['refused']}."
+    )
+
+
+def table(rows: Iterable[tuple[str, str, list[tuple[str, tuple[str, ...]]]]]) -> str:
+    """Return the reference's table.
+
+    Args:
+        rows: each task with its refused step (or nothing), and its questions as fields with
+            candidates.
+    """
+    lines = ["| task | ending |", "|---|---|"]
+    for task, refused, questions in rows:
+        asked = "; ".join(f"`{field}` ({_answers(field, known)})" for field, known in questions)
+        lines.append(f"| {task} | {f'refused: {refused}' if refused else f'asked: {asked}'} |")
+    return "\n".join(lines) + "\n"
+
+
+def _answers(field: str, known: tuple[str, ...]) -> str:
+    open_ended = "a duration" if field.endswith("duration") else "say it otherwise"
+    return ", ".join(known) or open_ended
 
 
 @cache

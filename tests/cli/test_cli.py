@@ -335,8 +335,12 @@ def test_orders_change_authority_on_a_store(shell: Shell, token: str) -> None:
     assert shell("mission", "activate", token, *on)[0] == 1
     assert shell.json("mission", "suspend", token, *on)[1]["status"] == "suspended"
     assert shell.json("mission", "resume", token, *on)[1]["status"] == "active"
-    assert shell("mission", "choose", token, *on, "--grant", "pick-p1", "--row", "0")[0] == 0
-    assert shell("mission", "choose", token, *on, "--grant", "pick-p1", "--row", "9")[0] == 1
+    assert (
+        shell("mission", "choose", token, *on, "--grant", "pick-p1", "--row", "0", "--yes")[0] == 0
+    )
+    assert (
+        shell("mission", "choose", token, *on, "--grant", "pick-p1", "--row", "9", "--yes")[0] == 1
+    )
     assert (
         shell("mission", "resolve", token, *on, "--ticket", "A" * 43, "--outcome", "failed")[0] == 1
     )
@@ -509,6 +513,8 @@ def test_signing_asks_and_no_is_no(shell: Shell, token: str) -> None:
         "trust/keys/operator-1.key.pem",
         "--cert",
         "trust/keys/operator-1.cert.pem",
+        "--site",
+        "h/site.yaml",
         "--out",
         "n.token",
     ]

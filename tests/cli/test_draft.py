@@ -111,6 +111,20 @@ def test_answers_settle_questions(console: Console) -> None:
     )
 
 
+def test_words_that_are_not_understood_are_asked_about_at_their_slot(console: Console) -> None:
+    sentence = "gently deliver package A to the wet dock within 5 min"
+    code, out, _ = console(sentence, *GIVEN, "--json")
+    asked = {q["field"]: q for q in json.loads(out)["clarifications"]}
+    assert code == 3
+    assert set(asked) == {"object", "destination"}
+    assert asked["object"]["question"].startswith('"A" is not understood.')
+    assert asked["destination"]["candidates"] == ["dock"]
+    answers = ("--answer", "object=package-p1", "--answer", "destination=dock")
+    code, out, _ = console(sentence, *GIVEN, *answers, "--json")
+    assert code == 0
+    assert compiles(json.loads(out)["draft"]).objects == ("package-p1",)
+
+
 @pytest.mark.parametrize(
     ("options", "code"),
     [
@@ -163,7 +177,7 @@ def test_a_profile_of_ones_own_is_strict(console: Console, tmp_path: Path) -> No
 
 def test_a_sentence_with_line_breaks_cannot_leave_its_comment(console: Console) -> None:
     code, out, _ = console(
-        "quietly\ngo to station 101 within 5 min", *GIVEN, "--answer", "word.quietly=leave it out"
+        "quietly\ngo to station 101 within 5 min", *GIVEN, "--answer", "speed=leave it out"
     )
     assert code == 0
     assert yaml.safe_load(out)["task"].startswith("quietly\ngo")

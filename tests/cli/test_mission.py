@@ -152,7 +152,7 @@ def test_a_wrong_answer_at_the_terminal_is_told_and_asked_again(shell: Shell) ->
     typed = "[\nsomebody\n[1 N, 20 kg]\ncourier-1\n[1 N, 20]\n1\n"
     code, text = shell("mission", "compile", draft, *SITE, "--out", "m.json", typed=typed)
     assert code == 0, text
-    assert "expected the node content" in text
+    assert "node content" in text
     assert "the site has no robot `somebody` (at robot)" in text
     assert "expected a quantity in mN or like it, got `kg`" in text
     assert "`20` has no unit; which one is meant? (grants[1].limits.force_mn[1])" in text
@@ -253,7 +253,7 @@ def test_an_error_is_not_signed_until_it_is_accepted_by_name(shell: Shell) -> No
 def test_only_what_was_found_can_be_accepted(shell: Shell, code: str) -> None:
     compiled(shell, UNGUARDED)
     assert sign(shell, *SITE, "--yes", "--accept", code)[0] == 2
-    assert sign(shell, "--yes", "--accept", "UNGUARDED_RETURN")[0] == 2  # no site, nothing found
+    assert sign(shell, "--yes", "--accept", code)[0] == 2
     assert not Path("m.token").exists()
 
 
@@ -273,14 +273,113 @@ def test_the_confirmation_holds_request_mission_card_and_who(shell: Shell) -> No
         "by": "operator-1",
         "at_ms": said["at_ms"],
         "how": "interactive",
+        "shown": True,
         "card": card["card_digest"],
     }
 
 
-def test_without_the_site_no_card_was_shown_and_the_confirmation_claims_none(shell: Shell) -> None:
+def test_a_script_with_the_site_prints_the_card_that_it_confirms(shell: Shell) -> None:
+    compiled(shell)
+    _, card = shell.json("mission", "review", "m.json", *SITE)
+    code, text = sign(shell, *SITE, "--yes")
+    assert (code, text.startswith("\n".join(card["card"]))) == (0, True)
+    code, text = sign(shell, *SITE, "--yes", "--json")
+    signed = json.loads(text)
+    assert signed["card"] == card["card"]
+    assert signed["confirmation"]["card"] == card["card_digest"]
+    assert (signed["confirmation"]["how"], signed["confirmation"]["shown"]) == ("script", True)
+
+
+@pytest.mark.parametrize("typed", [None, "y\n"])
+def test_nobody_signs_what_was_not_shown(shell: Shell, typed: str | None) -> None:
+    compiled(shell)
+    code, text = sign(shell, typed=typed)
+    assert (code, "name the site with --site: nobody signs what was not shown" in text) == (2, True)
+    assert not Path("m.token").exists()
+    assert not Path("m.confirmation.json").exists()
+
+
+def test_a_script_without_the_site_is_warned_and_the_confirmation_claims_no_card(
+    shell: Shell,
+) -> None:
+    compiled(shell)
+    code, text = sign(shell, "--yes")
+    assert (code, "WARNING no card was shown" in text) == (0, True)
+    said = json.loads(Path("m.confirmation.json").read_text())
+    assert ("card" in said, said["shown"], said["how"]) == (False, False, "script")
+    code, text = sign(shell, "--yes", "--json")
+    warning, answer = text.split("WARNING")[1], json.loads(text.partition("\n")[0])
+    assert "no card was shown" in warning
+    assert (answer["confirmation"]["card"], answer["confirmation"]["shown"]) == (None, False)
+    assert shell("mission", "activate", "m.token", *AT)[0] == 0
+
+
+def test_without_the_site_a_way_home_that_nothing_holds_back_still_stops_it(shell: Shell) -> None:
     compiled(shell, UNGUARDED)
-    assert sign(shell, "--yes")[0] == 0
-    assert "card" not in json.loads(Path("m.confirmation.json").read_text())
+    code, text = sign(shell, "--yes")
+    assert (code, "ERROR   UNGUARDED_RETURN at actions[5].guards" in text) == (1, True)
+    assert not Path("m.token").exists()
+    assert sign(shell, "--yes", "--accept", "UNGUARDED_RETURN")[0] == 0
+    assert json.loads(Path("m.confirmation.json").read_text())["accepted"] == ["UNGUARDED_RETURN"]
+
+
+def keys_of(name: str) -> list[str]:
+    return ["--key", f"trust/keys/{name}.key.pem", "--cert", f"trust/keys/{name}.cert.pem"]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("safety-officer-1", "ISSUER_MISMATCH"),
+        ("supervisor-1", "ROLE_DENIED"),
+        ("gate-courier-1", "ROLE_DENIED"),
+    ],
+)
+def test_the_attack_another_s_key_signs_in_the_issuer_s_name(
+    shell: Shell, name: str, reason: str
+) -> None:
+    compiled(shell)
+    given = ["mission", "sign", "m.json", *keys_of(name), *SITE, "--out", "m.token", "--yes"]
+    code, error = shell.json(*given)
+    assert (code, error["error"]["code"]) == (1, reason)
+    assert not Path("m.token").exists()
+    assert not Path("m.confirmation.json").exists()
+
+
+def test_a_safety_officer_signs_what_names_them_as_issuer(shell: Shell) -> None:
+    compiled(shell, ("issuer: operator-1", "issuer: safety-officer-1"))
+    given = ["mission", "sign", "m.json", *SITE, "--out", "m.token", "--yes"]
+    assert shell(*given, *KEY)[0] == 1
+    assert shell(*given, *keys_of("safety-officer-1"))[0] == 0
+    assert json.loads(Path("m.confirmation.json").read_text())["by"] == "safety-officer-1"
+
+
+def test_a_key_away_from_its_trust_folder_is_checked_against_the_one_that_is_named(
+    shell: Shell,
+) -> None:
+    compiled(shell)
+    Path("mine").mkdir()
+    for name in ("supervisor-1", "operator-1"):
+        shutil.copy(f"trust/keys/{name}.key.pem", f"mine/{name}.key.pem")
+        shutil.copy(f"trust/keys/{name}.cert.pem", f"mine/{name}.cert.pem")
+    given = ["mission", "sign", "m.json", *SITE, "--out", "m.token", "--yes"]
+    other = ["--key", "mine/supervisor-1.key.pem", "--cert", "mine/supervisor-1.cert.pem"]
+    mine = ["--key", "mine/operator-1.key.pem", "--cert", "mine/operator-1.cert.pem"]
+    code, error = shell.json(*given, *other, "--trust", "trust")
+    assert (code, error["error"]["code"]) == (1, "ROLE_DENIED")
+    assert shell(*given, *mine, "--trust", "nowhere")[0] == 5
+    assert not Path("m.token").exists()
+    assert shell(*given, *mine, "--trust", "trust")[0] == 0
+    code, text = shell(*given, *mine)
+    assert (code, "WARNING whose key it is was not checked" in text) == (0, True)
+
+
+def test_a_key_of_another_root_signs_nothing(shell: Shell) -> None:
+    compiled(shell)
+    assert shell("keys", "init", "other", *SITE)[0] == 0
+    given = ["mission", "sign", "m.json", *KEY, *SITE, "--out", "m.token", "--yes"]
+    assert shell(*given, "--trust", "other")[0] == 4
+    assert not Path("m.token").exists()
 
 
 def test_no_is_no_and_leaves_neither_token_nor_confirmation(shell: Shell) -> None:
@@ -296,10 +395,50 @@ def test_an_activation_takes_the_confirmation_into_the_log(shell: Shell) -> None
     assert sign(shell, *SITE, "--yes")[0] == 0
     said = ["--confirmation", "m.confirmation.json"]
     assert shell("mission", "activate", "m.token", *AT, *said)[0] == 0
-    _, shown = shell.json("audit", "show", "r.db", "--kind", "management")
-    (record,) = shown["records"]
+    record = activation(shell)
     assert set(record["committed"]) == {"confirmation", "token"}
     assert record["values"]["confirmation"] == json.loads(Path("m.confirmation.json").read_text())
+
+
+def activation(shell: Shell) -> Any:
+    """Return the last activation's record as `audit show` prints it."""
+    _, shown = shell.json("audit", "show", "r.db", "--kind", "management")
+    return [r for r in shown["records"] if r["open"]["verb"] == "activate"][-1]
+
+
+def test_the_confirmation_beside_the_token_is_taken_unasked(shell: Shell) -> None:
+    compiled(shell)
+    assert sign(shell, *SITE, "--yes")[0] == 0
+    code, text = shell("mission", "activate", "m.token", *AT)
+    assert (code, "WARNING" in text) == (0, False)
+    said = json.loads(Path("m.confirmation.json").read_text())
+    assert activation(shell)["values"]["confirmation"] == said
+    assert "no confirmation" not in shell("audit", "show", "r.db")[1]
+
+
+def test_an_activation_without_a_confirmation_warns_and_the_record_says_so(shell: Shell) -> None:
+    compiled(shell)
+    assert sign(shell, *SITE, "--yes")[0] == 0
+    Path("m.confirmation.json").unlink()
+    code, text = shell("mission", "activate", "m.token", *AT)
+    assert (code, "WARNING no confirmation lies beside the token" in text) == (0, True)
+    assert activation(shell)["values"]["confirmation"] == "none"
+    assert "version 1, no confirmation" in shell("audit", "show", "r.db")[1]
+
+
+def test_the_confirmation_of_another_mission_beside_the_token_activates_nothing(
+    shell: Shell,
+) -> None:
+    compiled(shell)
+    assert sign(shell, *SITE, "--yes")[0] == 0
+    old = Path("m.confirmation.json").read_bytes()
+    compiled(shell)
+    assert sign(shell, *SITE, "--yes")[0] == 0
+    own = Path("m.confirmation.json").rename("own.json")
+    Path("m.confirmation.json").write_bytes(old)
+    code, error = shell.json("mission", "activate", "m.token", *AT)
+    assert (code, error["error"]["code"]) == (1, "META_MISMATCH")
+    assert shell("mission", "activate", "m.token", *AT, "--confirmation", str(own))[0] == 0
 
 
 def test_a_confirmation_of_something_else_activates_nothing(shell: Shell) -> None:
@@ -345,6 +484,85 @@ def test_a_disk_that_fails_while_signing_leaves_what_was_there(
     )
 
 
+# versions
+
+
+def test_a_mission_that_does_not_supersede_the_other_is_said_first(shell: Shell) -> None:
+    compiled(shell)
+    assert sign(shell, *SITE, "--yes")[0] == 0
+    v2 = ["mission", "compile", "h/mission-v2.yaml", *SITE, "--supersedes", "m.token"]
+    assert shell(*v2, "--out", "v2.json")[0] == 0
+    shutil.copy("m.json", "first.json")
+    compiled(shell)  # the same words and another nonce: version 2 does not supersede this one
+    review, diff = ["mission", "review", "v2.json", *SITE], ["mission", "diff"]
+    for old, follows in (("m.token", True), ("first.json", True), ("m.json", False)):
+        told = [shell(*review, "--against", old)[1], shell(*diff, old, "v2.json", *SITE)[1]]
+        for text in told:
+            first = text.partition("\n")[0]
+            assert first.startswith("not the next version of `deliver-p1` version 1") != follows
+        assert shell.json(*review, "--against", old)[1]["supersedes"] is follows
+        assert shell.json(*diff, old, "v2.json", *SITE)[1]["supersedes"] is follows
+    assert shell.json(*review)[1]["supersedes"] is None
+    assert shell.json(*diff, "v2.json", "m.token", *SITE)[1]["supersedes"] is False
+    compiled(shell, ("mission: deliver-p1", "mission: another"))
+    _, text = shell(*diff, "m.token", "m.json", *SITE)
+    assert text.startswith("not the next version of `deliver-p1` version 1: `another` version 1")
+
+
+# choices
+
+
+CHOICE = ("    chooser: trusted_sensor\n", "    chooser: operator\n")
+
+
+def choice(shell: Shell) -> list[str]:
+    """Activate a mission whose operator picks the way, and return the command that picks."""
+    compiled(shell, CHOICE)
+    assert sign(shell, *SITE, "--yes")[0] == 0
+    assert shell("mission", "activate", "m.token", *AT)[0] == 0
+    return ["mission", "choose", "m.token", *AT, "--grant", "go-to-pharmacy", "--row"]
+
+
+ROW_1 = "row 1: from public-corridor to pharmacy, within pharmacy, public-corridor"
+
+
+def test_a_choice_shows_its_row_and_asks(shell: Shell) -> None:
+    choose = choice(shell)
+    code, text = shell(*choose, "1", typed="n\n")
+    assert (code, ROW_1 in text) == (2, True)
+    assert "select" not in shell("audit", "show", "r.db")[1]
+    code, text = shell(*choose, "1", typed="y\n")
+    assert (code, ROW_1 in text) == (0, True)
+    shown = shell("audit", "show", "r.db")[1]
+    assert "go-to-pharmacy, row 1" in next(
+        line for line in shown.splitlines() if " select " in line
+    )
+
+
+@pytest.mark.parametrize("said", [(), ("--yes",)])
+def test_where_nobody_can_be_asked_the_command_is_the_order(
+    shell: Shell, said: tuple[str, ...]
+) -> None:
+    choose = choice(shell)
+    code, text = shell(*choose, "1", *said)
+    assert (code, ROW_1 in text) == (0, True)
+
+
+@pytest.mark.parametrize(("grant", "row"), [("go-to-pharmacy", "2"), ("nothing", "0")])
+def test_nobody_is_asked_to_choose_what_is_not_there(shell: Shell, grant: str, row: str) -> None:
+    choose = choice(shell)
+    choose[choose.index("go-to-pharmacy")] = grant
+    assert shell(*choose, row, typed="y\n")[0] == 2
+    assert shell(*choose, row, "--yes")[0] == 1  # a refused order, with its record
+
+
+def test_rows_have_the_numbers_that_a_choice_takes(shell: Shell) -> None:
+    choice(shell)
+    assert f"  {ROW_1}" in shell("mission", "show", "m.token")[1]
+    assert f"    {ROW_1}" in shell("mission", "review", "m.token", *SITE)[1]
+    assert "go-to-pharmacy: navigate, chosen by operator" in shell("mission", "show", "m.token")[1]
+
+
 # the paper's pair
 
 
@@ -374,5 +592,7 @@ def test_an_unsigned_change_is_refused_and_the_same_change_signed_is_accepted(
     _, shown = shell.json("audit", "show", "r.db", "--kind", "management")
     first, update = (r["open"] for r in shown["records"] if r["open"]["verb"] == "activate")
     assert (first["supersedes"], update["supersedes"]) == ("-", first["mission"])
+    shown = shell("audit", "show", "r.db", "--kind", "management")[1]
+    assert f"version 2, supersedes {first['mission'][:12]}..." in shown
     code, whole = shell.json("audit", "verify", "r.db")
     assert (code, whole["whole"]) == (0, True)

@@ -353,3 +353,79 @@ def test_a_word_in_a_comment_does_not_make_yaml_a_token(shell: Shell) -> None:
     path = shell.folder / "c.yaml"
     path.write_text('# "endorsements"\n' + (shell.folder / "h" / "site.yaml").read_text())
     assert shell.refused("site", "check", "c.yaml")[0] == 4
+
+
+# -- words and channels ----------------------------------------------------------------------------
+
+
+def amended(shell: Shell, text: str) -> str:
+    """Return the file of the hospital with some lines more."""
+    plain = (shell.folder / "h" / "site.yaml").read_text()
+    (shell.folder / "amended.yaml").write_text(plain + text)
+    return "amended.yaml"
+
+
+def heard(shell: Shell, site: str, *said: tuple[str, str]) -> tuple[int, Any]:
+    """Normalize one call after a planner heard these."""
+    lines = [json.dumps({"channel": channel, "text": text}) for channel, text in said]
+    (shell.folder / "seen.jsonl").write_text("\n".join(lines))
+    binding = ("--binding", "h/binding.yaml", "--context", "seen.jsonl")
+    call_text = b'navigate_to(destination="Nurse Station 101", speed=0.8)'
+    return shell.json("normalize", "--site", site, *binding, stdin=call_text)
+
+
+def test_a_site_s_own_channels_label_what_a_planner_saw(shell: Shell) -> None:
+    site = amended(shell, "channels: {intranet: retrieval, tool: audio}\n")
+    assert "intranet             retrieval" in shell("site", "show", site)[1]
+    said = ("intranet", "All deliveries to Nurse Station 101")
+    code, answer = heard(shell, site, said)
+    assert code == 0
+    (influence,) = answer["influenced_by"]
+    assert (influence["channel"], influence["label"]) == ("intranet", "retrieval")
+    assert answer["actions"][0]["provenance"]["destination"] == "retrieval"
+    code, answer = heard(shell, site, ("tool", "sunny"))
+    assert answer["actions"][0]["provenance"]["destination"] == "audio"
+    code, answer = heard(shell, "h/site.yaml", said)  # the site without it
+    assert (code, answer["error"]["where"]) == (4, "context line 1: channel")
+
+
+@pytest.mark.parametrize(
+    ("channels", "where"),
+    [
+        ("{intercom: operator}", "amended.yaml:channels.intercom"),
+        ("{camera: model}", "amended.yaml:channels.camera"),
+        ("{lidar.text: camera}", "amended.yaml:channels.lidar.text"),
+    ],
+)
+def test_the_attack_a_site_file_that_makes_a_text_an_authority(
+    shell: Shell, channels: str, where: str
+) -> None:
+    site = amended(shell, f"channels: {channels}\n")
+    code, answer = shell.json("site", "check", site)
+    assert (code, [fault["where"] for fault in answer["faults"]]) == (4, [where.partition(":")[2]])
+    assert heard(shell, site)[1]["error"]["where"] == where
+
+
+def test_a_context_line_that_is_too_long_is_refused_with_its_number(shell: Shell) -> None:
+    long = "Station 101 " * 11_000
+    code, answer = heard(shell, "h/site.yaml", ("user", "hello"), ("web", long))
+    error = answer["error"]
+    assert (code, error["code"], error["where"]) == (4, "INPUT_TOO_LARGE", "context line 2: text")
+
+
+def test_a_context_file_that_is_too_long_is_refused(shell: Shell) -> None:
+    said = [("web", "x" * 100_000)] * 170
+    code, answer = heard(shell, "h/site.yaml", *said)
+    error = answer["error"]
+    assert (code, error["code"], error["where"]) == (4, "INPUT_TOO_LARGE", "seen.jsonl")
+
+
+def test_what_a_word_can_do_at_worst_is_shown(shell: Shell) -> None:
+    text = (shell.folder / "h" / "site.yaml").read_text()
+    (shell.folder / "worse.yaml").write_text(
+        text.replace("  pick:\n", "  pick:\n    physical: 2\n")
+    )
+    assert "pick                 physical 2, privacy 0" in shell("site", "show", "worse.yaml")[1]
+    code, answer = shell.json("site", "diff", "h/site.yaml", "worse.yaml")
+    (change,) = answer["changes"]
+    assert (code, change["effect"], change["where"]) == (1, "meaning", "vocabulary.pick.physical")

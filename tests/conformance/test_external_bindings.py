@@ -19,10 +19,10 @@ from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ways
 from authguard_r.normalize.check import BindingReport, check_binding
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
-from authguard_r.normalize.interface import read_interface
+from authguard_r.normalize.interface import Surface, read_interface
 from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.normalize.samples import Sampler, probe_site
-from authguard_r.normalize.shipped import binding_source
+from authguard_r.normalize.shipped import binding_source, shipped_interface
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
@@ -51,14 +51,30 @@ def shipped(name: str) -> tuple[Binding, Site]:
     return binding, probe_site(binding, standard_words())
 
 
-def compared(name: str) -> tuple[BindingReport, int]:
-    binding, site = shipped(name)
-    surfaces = tuple(
+def described(name: str) -> tuple[Surface, ...]:
+    """Return what the interface of a binding says of itself."""
+    return tuple(
         surface
         for path in sorted(EXTERNAL.glob(INTERFACES[name][0]))
         for surface in read_interface(path.read_text(encoding="utf-8"), name=path.name)
     )
+
+
+def listed(name: str) -> dict[str, Surface]:
+    surfaces = shipped_interface(name)
+    assert surfaces is not None
+    return {surface.name: surface for surface in surfaces}
+
+
+def compared(name: str) -> tuple[BindingReport, int]:
+    binding, site = shipped(name)
+    surfaces = described(name)
     return check_binding(binding, site, interface=surfaces), len(surfaces)
+
+
+@pytest.mark.parametrize("name", INTERFACES)
+def test_the_shipped_list_of_fields_is_what_the_interface_says(name: str) -> None:
+    assert listed(name) == {surface.name: surface for surface in described(name)}
 
 
 @pytest.mark.parametrize("name", INTERFACES)
@@ -81,12 +97,7 @@ def test_a_binding_short_of_one_argument_is_found_out(name: str) -> None:
     )
     body = f"{way['body']}." if "body" in way else ""
     del way["arguments"][next(a for a in way["arguments"] if a.startswith(body))]
-    surfaces = tuple(
-        surface
-        for path in sorted(EXTERNAL.glob(INTERFACES[name][0]))
-        for surface in read_interface(path.read_text(encoding="utf-8"), name=path.name)
-    )
-    found = check_binding(convert(plain, Binding, where=name), site, interface=surfaces)
+    found = check_binding(convert(plain, Binding, where=name), site, interface=described(name))
     assert found.unmapped, tool
 
 
@@ -130,6 +141,10 @@ def test_every_call_of_a_robot_s_language_model_interface_is_bound(group: str) -
     calls = apis[group]["calls"]
     binding, site = shipped(CALL_FORMS[group])
     assert {name for name, _ in calls} == set(binding.tools)
+    assert {name: surface.leaves for name, surface in listed(CALL_FORMS[group]).items()} == {
+        name: tuple("1" if argument == "free text" else argument.split()[0] for argument in given)
+        for name, given in calls
+    }
     binder = Binder(site, binding)
     for name, arguments in calls:
         (way,) = [way for way in ways(binding) if way.name == name]
@@ -157,12 +172,14 @@ def test_every_step_of_safeagentbench_is_a_bound_call_with_known_fields() -> Non
     }
     assert len(steps) > 200
     strange, reasons = [], set()
+    fields = {verb: set(surface.leaves) for verb, surface in listed("safeagentbench").items()}
     for step in sorted(steps):
         try:
             (call,) = read_plan(step, Dialect.STEPS)
         except MalformedError:
             strange.append(step)
             continue
+        assert call.arguments.keys() <= fields[call.tool], step
         try:
             binder.bind(call)
         except MalformedError as error:

@@ -27,6 +27,16 @@ def may_ask(*, as_json: bool, no_input: bool) -> bool:
     return not as_json and not no_input and sys.stdin.isatty()
 
 
+def confirm_shown(lines: list[str], question: str, *, as_json: bool) -> None:
+    """Return once a person who was shown the lines said yes.
+
+    Raises:
+        typer.Abort: no, or standard input ended.
+    """
+    typer.echo("\n".join(lines), err=as_json)
+    typer.confirm(question, abort=True, err=as_json)
+
+
 def ask_until(job: Callable[[dict[str, object]], T], answers: dict[str, object]) -> T:
     """Return what the job makes of the answers, asking until no question is open.
 

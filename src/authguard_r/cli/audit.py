@@ -22,6 +22,8 @@ from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.store.sqlite import read_rows
 
 app = typer.Typer(help="The audit log: verify and read it.", no_args_is_help=True)
+#: How much of a digest a line shows; `--json` has all of it.
+_SHORT = 12
 StoreArgument = Annotated[Path, typer.Argument(help="The store's file.")]
 
 
@@ -83,13 +85,23 @@ def show(
             {"seq": row.seq, **msgspec.to_builtins(record), "values": msgspec.to_builtins(values)}
         )
         reasons = ", ".join(record.open.get("reasons", ()))
-        what = _what(values)
+        what = _order(record.open, values) if record.kind == "management" else _what(values)
         lines.append(
             f"{row.seq:5} {to_timestamp(record.link.time_ms)} {record.kind:11}"
             f"{record.link.decision:17} {record.link.mid:16} {what} {reasons}".rstrip()
         )
     emit({"records": records}, lines or ["no records"], as_json=as_json)
     return 0
+
+
+def _order(said: dict[str, Any], values: dict[str, Any]) -> str:
+    """Return what an order says: the version, what it takes the place of, the row that it picks."""
+    parts = [str(said["grant"])] if "grant" in said else []
+    parts += [f"{name} {said[name]}" for name in ("row", "version") if name in said]
+    old = said.get("supersedes", "-")
+    parts += [f"supersedes {str(old)[:_SHORT]}..."] if old != "-" else []
+    parts += ["no confirmation"] if values.get("confirmation") == "none" else []
+    return ", ".join(parts)
 
 
 def _what(values: dict[str, Any]) -> str:

@@ -11,12 +11,13 @@ import typer
 
 from authguard_r.cli.inputs import JsonFlag, load_site
 from authguard_r.cli.out import emit
+from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, binding_digest, require_sound, ways
 from authguard_r.normalize.check import BindingReport, check_binding
 from authguard_r.normalize.interface import Surface, read_interface
 from authguard_r.normalize.rebuild import call_bytes
 from authguard_r.normalize.samples import Sampler, probe_site
-from authguard_r.normalize.shipped import binding_source, shipped_names
+from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text
 from authguard_r.site.words import standard_words
@@ -27,6 +28,7 @@ SiteChoice = Annotated[
     Path | None, typer.Option("--site", help="The site model; without it, the standard words.")
 ]
 _ROS_FILES = ("*.action", "*.msg", "*.srv")
+_UNSHOWN = "no interface given: nothing shows that every field is bound"
 
 
 @app.command("check")
@@ -34,20 +36,27 @@ def check(
     binding: BindingArgument,
     site: SiteChoice = None,
     interface: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option(
-            "--interface", help="What the tools say of themselves; a folder for ROS definitions."
+            "--interface",
+            help="What the tools say of themselves: a file, a folder of ROS definitions, or a "
+            "shipped binding's name. A shipped binding is compared with its own without it.",
         ),
     ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Exit 1 for a way without an interface to compare."),
+    ] = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Prove that every field of every tool is bound, held and dispatched as authorized."""
     found = _read(binding)
-    surfaces = tuple(s for path in interface or () for s in _surfaces(path))
-    report = check_binding(found, _site(found, site), interface=surfaces)
+    report = check_binding(found, _site(found, site), interface=_interface(binding, interface))
     payload = {**msgspec.to_builtins(report), "digest": binding_digest(found)}
     emit(payload, _lines(report), as_json=as_json)
-    return 4 if report.faults else 0
+    if report.faults:
+        return 4
+    return 1 if strict and (report.interface is None or report.uncompared) else 0
 
 
 @app.command("list")
@@ -101,11 +110,24 @@ def _site(binding: Binding, path: Path | None) -> Site:
     return probe_site(binding, standard_words()) if path is None else load_site(path)
 
 
-def _surfaces(path: Path) -> tuple[Surface, ...]:
-    if path.is_dir():
-        files = sorted(file for pattern in _ROS_FILES for file in path.glob(pattern))
-        return tuple(surface for file in files for surface in _surfaces(file))
-    return read_interface(read_text(path), name=str(path))
+def _interface(binding: str, given: list[str] | None) -> tuple[Surface, ...]:
+    """Return what to compare with: what is given, else what a shipped binding is for."""
+    if not given:
+        return shipped_interface(binding) or ()
+    return tuple(surface for name in given for surface in _surfaces(name))
+
+
+def _surfaces(name: str) -> tuple[Surface, ...]:
+    """Return a shipped interface, or a file's or folder's; an empty one would prove nothing."""
+    found = shipped_interface(name)
+    if found is None and Path(name).is_dir():
+        files = sorted(file for pattern in _ROS_FILES for file in Path(name).glob(pattern))
+        found = tuple(s for f in files for s in read_interface(read_text(f), name=str(f)))
+    elif found is None:
+        found = read_interface(read_text(Path(name)), name=name)
+    if not found:
+        raise MalformedError("expected a tool or a message", where=name)
+    return found
 
 
 def _lines(report: BindingReport) -> list[str]:
@@ -113,4 +135,15 @@ def _lines(report: BindingReport) -> list[str]:
     faults = [f"{fault.where}: {fault.message}" for fault in report.faults]
     head = f"{report.binding}: {report.tools} tools, {report.ways} ways; fields: {fields}"
     groups = [f"  {', '.join(places)} meet: {effect}" for effect, places in report.groups.items()]
-    return faults or [head, *groups]
+    return [*(faults or [head, *groups]), *_compared(report)]
+
+
+def _compared(report: BindingReport) -> list[str]:
+    """Return the lines that say what shows that every field is bound, or that nothing does."""
+    if report.interface is None:
+        return [_UNSHOWN]
+    if report.uncompared:
+        return [f"the interface says nothing of {', '.join(report.uncompared)}"]
+    if report.faults:
+        return []
+    return [f"interface: {report.interface} tools or messages, every field bound"]

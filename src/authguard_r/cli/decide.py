@@ -96,7 +96,7 @@ def decide_command(
         trust=anchor,
         standing=_standing(verified, store),
         safety=EnvelopeGate(default_config(model, facts.robot.rid)),
-        ledger=read_context(context, site_spellings(model)),
+        ledger=read_context(context, site_spellings(model), channels=model.channels),
     )
     default = None if state is None else read_input(state)
     if jsonl:

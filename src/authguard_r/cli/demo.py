@@ -161,7 +161,8 @@ def _sign(stage: _Stage, simulation: Simulation, name: str, before: bytes | None
 
 
 def _run(stage: _Stage, simulation: Simulation, reply: str, context: Path | None) -> Run:
-    ledger = read_context(context, simulation.binder.spellings())
+    spellings, channels = simulation.binder.spellings(), stage.site.channels
+    ledger = read_context(context, spellings, channels=channels)
     plan = read_file(stage.files / "replies" / f"{reply}.json")
     return run_plan(simulation, plan, dialect=Dialect.OPENAI, context=ledger, ask=False)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,6 +35,9 @@ from authguard_r.site.source import (
     parse_site,
     require_sound,
 )
+
+#: Most bytes of a context file: a day of captions, and no more than memory easily holds.
+MAX_CONTEXT = 1 << 24
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
 SiteOption = Annotated[
@@ -142,27 +146,55 @@ def read_action(plain: Any) -> Action:
     return convert(kept, Action, where="action")
 
 
-def read_context(path: Path | None, spellings: dict[str, str]) -> ContextLedger:
+def read_context(
+    path: Path | None, spellings: dict[str, str], *, channels: Mapping[str, str] | None = None
+) -> ContextLedger:
     """Return the ledger of everything in a JSON Lines file of `{"channel", "text"}`.
 
+    Args:
+        path: the file; None: nothing was seen.
+        spellings: external spelling of each place and thing, with its id.
+        channels: the site's own channels.
+
     Raises:
-        MalformedError: with the line.
+        MalformedError: with the line; the file or a text is too long (`INPUT_TOO_LARGE`).
     """
-    ledger = ContextLedger(spellings)
-    lines = [] if path is None else text_of(read_file(path), str(path)).splitlines()
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        where = f"context line {number}"
-        item = read_json(line, where=where)
-        if (
-            not isinstance(item, dict)
-            or set(item) != {"channel", "text"}
-            or not all(isinstance(value, str) for value in item.values())
-        ):
-            raise MalformedError('expected {"channel": ..., "text": ...}', where=where)
-        ledger.add(item["channel"], item["text"])
+    ledger = ContextLedger(spellings, channels=channels)
+    for number, line in enumerate(_lines(path), 1):
+        if line.strip():
+            _add_line(ledger, line, where=f"context line {number}")
     return ledger
+
+
+def _lines(path: Path | None) -> list[str]:
+    """Return the lines of a context file."""
+    if path is None:
+        return []
+    data = read_file(path)
+    if len(data) > MAX_CONTEXT:
+        raise MalformedError(
+            f"expected at most {MAX_CONTEXT} bytes, got {len(data)}",
+            where=str(path),
+            reason=Reason.INPUT_TOO_LARGE,
+        )
+    return text_of(data, str(path)).splitlines()
+
+
+def _add_line(ledger: ContextLedger, line: str, *, where: str) -> None:
+    item = read_json(line, where=where)
+    if (
+        not isinstance(item, dict)
+        or set(item) != {"channel", "text"}
+        or not all(isinstance(value, str) for value in item.values())
+    ):
+        raise MalformedError('expected {"channel": ..., "text": ...}', where=where)
+    try:
+        ledger.add(item["channel"], item["text"])
+    except MalformedError as error:
+        part = error.where.removeprefix("context.")
+        raise MalformedError(
+            error.message, where=f"{where}: {part}", reason=error.reason
+        ) from error
 
 
 def text_of(data: bytes, where: str) -> str:

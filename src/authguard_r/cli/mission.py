@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,8 +27,9 @@ from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_command
 from authguard_r.compile.answers import compile_answered, read_answers
 from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.difference import compare
+from authguard_r.compile.difference import compare, is_next
 from authguard_r.compile.lint import Severity, finding_lines, lint
+from authguard_r.compile.spoken import row_words
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token
@@ -100,13 +102,17 @@ def review_command(
     card, findings = review(new, model), lint(new, model)
     lines = [*card, *finding_lines(findings)]
     changes: list[str] = []
+    supersedes: bool | None = None
     if against is not None:
-        changes = list(compare(read_unverified(against), new, model))
-        lines = ["Against the version before:", *(f"  {c}" for c in changes), *lines]
+        old = read_unverified(against)
+        supersedes, changes = is_next(old, new), list(compare(old, new, model))
+        head = ["Against the version before:"] if supersedes else _not_next(old, new)
+        lines = [*head, *(f"  {c}" for c in changes), *lines]
     payload: dict[str, Any] = {
         "card": list(card),
         "card_digest": card_digest(card),
         "changes": changes,
+        "supersedes": supersedes,
         "digest": mission_digest(new),
         "lint": lint_json(findings),
     }
@@ -166,7 +172,7 @@ def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
     opened = read_token(read_file(token))
     mission = decode(unb64(opened.payload, where="token.payload"), Mission, where="mission")
     payload = {"mission": msgspec.to_builtins(mission), "digest": mission_digest(mission)}
-    lines = [json.dumps(payload["mission"], indent=2), "(not verified)"]
+    lines = [json.dumps(payload["mission"], indent=2), *_numbered(mission), "(not verified)"]
     emit(payload, lines, as_json=as_json)
     return 0
 
@@ -179,6 +185,21 @@ def diff_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Show what a new version changes, widening first."""
-    changes = list(compare(read_unverified(old), read_unverified(new), load_site(site)))
-    emit({"changes": changes}, changes, as_json=as_json)
+    before, after = read_unverified(old), read_unverified(new)
+    supersedes, changes = is_next(before, after), list(compare(before, after, load_site(site)))
+    head = [] if supersedes else _not_next(before, after)
+    emit({"supersedes": supersedes, "changes": changes}, [*head, *changes], as_json=as_json)
     return 0
+
+
+def _not_next(old: Mission, new: Mission) -> list[str]:
+    """Say that no gate takes the one for the other's next version, whatever they have in common."""
+    was, now = f"`{old.mid}` version {old.version}", f"`{new.mid}` version {new.version}"
+    return [f"not the next version of {was}: {now} does not supersede its digest"]
+
+
+def _numbered(mission: Mission) -> Iterator[str]:
+    """Say the rows by the numbers that `choose --row` takes."""
+    for grant in mission.actions:
+        yield f"{grant.id}: {grant.type}, chosen by {grant.chooser}"
+        yield from (f"  row {n}: {row_words(row)}" for n, row in enumerate(grant.alternatives))

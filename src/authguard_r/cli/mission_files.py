@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import typer
 
 from authguard_r.compile.lint import LintFinding
 from authguard_r.core.encoding import Tag, decode, digest_of, unb64
@@ -34,6 +35,16 @@ def read_unverified(path: Path) -> Mission:
 def mission_digest(mission: Mission) -> Digest:
     """Return the digest that a signature over the mission binds."""
     return digest_of(Tag.MISSION, mission)
+
+
+def beside_token(token: Path) -> Path:
+    """Return where the confirmation of a token lies: its name without suffix, in its folder."""
+    return token.with_suffix(".confirmation.json")
+
+
+def warn(text: str) -> None:
+    """Say on standard error what went ahead all the same."""
+    typer.echo(f"WARNING {text}", err=True)
 
 
 def lint_json(findings: tuple[LintFinding, ...]) -> list[Any]:

@@ -61,7 +61,7 @@ def normalize_command(
     model = load_site(site, trust, wall_now(now))
     binder = Binder(model, read_binding(binding, model))
     verified = _mission(token, trust, now)
-    ledger = read_context(context, binder.spellings())
+    ledger = read_context(context, binder.spellings(), channels=model.channels)
     if jsonl:
         return _stream(binder, verified, ledger, dialect)
     answer, code = _answer(sys.stdin.buffer.read(), binder, verified, ledger, dialect)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ import typer
 
 from authguard_r.approvals import Selection
 from authguard_r.assembly import folder_signer, offline_gate
+from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import (
     JsonFlag,
     SiteOption,
@@ -23,16 +25,20 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.mission import TokenArgument, app
+from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.out import emit
 from authguard_r.commands import Command, Verb
+from authguard_r.compile import spoken
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
+from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object, verify_mission
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.management import Management
+from authguard_r.site.model import Site
 
 StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]
 KeyOption = Annotated[
@@ -53,14 +59,19 @@ def activate_command(
     site: SiteOption,
     store: StoreOption,
     confirmation: Annotated[
-        Path | None, typer.Option("--confirmation", help="What `sign` wrote beside the token.")
+        Path | None,
+        typer.Option(
+            "--confirmation", help="The record of its signing (default: the one beside the token)."
+        ),
     ] = None,
     robot: RobotOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Take in a signed mission (or the active one's next version) and make it active."""
     data = read_file(token)
-    said = None if confirmation is None else read_file(confirmation)
+    said = _confirmation(token, confirmation)
+    if said is None:
+        warn("no confirmation lies beside the token: the log will say that none was given")
     return _manage(
         store,
         trust,
@@ -69,6 +80,14 @@ def activate_command(
         lambda m: m.activate(data, confirmation=said),
         as_json=as_json,
     )
+
+
+def _confirmation(token: Path, named: Path | None) -> bytes | None:
+    """Return the record of the signing: the one that was named, else the one beside the token."""
+    beside = beside_token(token)
+    if named is None and not beside.exists():
+        return None
+    return read_file(beside if named is None else named)
 
 
 def _order(verb: Verb) -> Callable[..., int]:
@@ -127,16 +146,25 @@ def choose_command(
     site: SiteOption,
     store: StoreOption,
     grant: Annotated[str, typer.Option("--grant", help="The grant.")],
-    row: Annotated[int, typer.Option("--row", help="Index of the row, from 0.", min=0)],
+    row: Annotated[
+        int, typer.Option("--row", help="Its number, from 0, as `review` shows it.", min=0)
+    ],
     key: KeyOption = None,
     cert: CertOption = None,
     robot: RobotOption = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Choose, signed, one of the rows that a grant offers."""
+    """Choose, signed, one of the rows that a grant offers; at a terminal it shows it and asks."""
     signer = _issuer(token, trust, key, cert)
+    verified = read_mission(token, read_trust(trust), wall_now(None))
+    shown = _row_lines(verified.mission, grant, row, load_site(site, trust))
+    asks = not yes and sys.stdin.isatty()  # where nobody is, the command is the order
+    if asks:
+        if not shown:
+            raise typer.BadParameter("the mission has no such row", param_hint="--row")
+        confirm_shown(shown, "Choose exactly this?", as_json=as_json)
     at = wall_now(None)
-    verified = read_mission(token, read_trust(trust), at)
     selection = Selection(
         mid=verified.mission.mid,
         version=verified.mission.version,
@@ -147,7 +175,22 @@ def choose_command(
         expires_ms=at.utc_ms + _ORDER_MS,
     )
     signed = sign_object(selection, Tag.SELECTION, signer)
-    return _manage(store, trust, site, robot, lambda m: m.select(signed), as_json=as_json)
+    said = [] if asks else shown
+    return _manage(store, trust, site, robot, lambda m: m.select(signed), said, as_json=as_json)
+
+
+def _row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[str]:
+    """Return the row in the card's words; none when there is no such row, which the gate refuses.
+
+    A choice that is not possible leaves its record like any other order, so it is not stopped here.
+    """
+    named = next((g for g in mission.actions if g.id == grant), None)
+    if named is None or number >= len(named.alternatives):
+        return []
+    return [
+        f"{named.id}: {named.type} with {named.tool}",
+        f"  row {number}: {spoken.row(named.alternatives[number], site)}",
+    ]
 
 
 def _manage(
@@ -156,6 +199,7 @@ def _manage(
     site: Path,
     robot: str | None,
     act: Callable[[Management], Standing],
+    said: Iterable[str] = (),
     *,
     as_json: bool,
 ) -> int:
@@ -166,7 +210,7 @@ def _manage(
     finally:
         gate.close()
     payload = {"standing": msgspec.to_builtins(standing), "status": str(standing.status)}
-    lines = [f"{standing.mid} version {standing.version}: {standing.status}"]
+    lines = [*said, f"{standing.mid} version {standing.version}: {standing.status}"]
     lines += [f"  open release {release.ticket}" for release in standing.open]
     emit(payload, lines, as_json=as_json)
     return 0

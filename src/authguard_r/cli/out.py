@@ -27,6 +27,8 @@ from authguard_r.core.finding import Finding, deviation
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import VerifiedMission
+from authguard_r.normalize.context import Influence
+from authguard_r.normalize.mentions import How
 from authguard_r.report import NOT_EVALUATED, Judged, Report
 
 
@@ -219,11 +221,17 @@ def report_lines(report: Report) -> list[str]:
         lines.append(f"  -> {report.outcome}")
     lines += [f"  because {_finding_line(finding)}" for finding in report.reasons]
     lines += [
-        f"  influenced by {item.channel} ({item.label}): it mentions `{item.value}`"
+        f"  influenced by {item.channel} ({item.label}): it {_mentions(item)} `{item.value}`"
         for item in report.influences
         if report.judged.decision.verdict is not Verdict.ACCEPT
     ]
     return lines
+
+
+def _mentions(item: Influence) -> str:
+    if item.how is How.UNREAD:
+        return "is too long to be read and may mention"
+    return "mentions" if item.how is How.EXACT else f"mentions ({item.how})"
 
 
 def _finding_line(finding: Finding) -> str:

@@ -42,6 +42,7 @@ from authguard_r.core.token import read_token
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.mentions import How
 from authguard_r.report import Report, average_deviation, plan_deviation
 from authguard_r.safety import open_config
 from authguard_r.sim.robot import Faults
@@ -165,7 +166,7 @@ def run_command(
     )
     try:
         _activate(simulation, read_file(token))
-        ledger = read_context(context, simulation.binder.spellings())
+        ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
         runs = [
             run_plan(simulation, read_input(p), dialect=dialect, context=ledger, ask=ask)
@@ -247,7 +248,10 @@ def _alerts(report: Report) -> tuple[str, ...]:
     alerts = [f"refused: {reason}" for reason in report.judged.decision.reasons]
     alerts += [f"aborted: {finding.reason}" for finding in report.reasons]
     alerts += [
-        f"influenced by {item.channel}: it mentions `{item.value}`" for item in report.influences
+        f"influenced by {item.channel}: too long to be read, it may mention `{item.value}`"
+        if item.how is How.UNREAD
+        else f"influenced by {item.channel}: it mentions `{item.value}`"
+        for item in report.influences
     ]
     return tuple(alerts)
 

@@ -4,26 +4,41 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import typer
 from msgspec import Struct
 
+from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
-from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified, write_whole
+from authguard_r.cli.mission_files import (
+    beside_token,
+    lint_json,
+    mission_digest,
+    read_unverified,
+    warn,
+    write_whole,
+)
 from authguard_r.cli.out import emit
 from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.confirmation import How, confirm, confirmation_bytes
-from authguard_r.compile.lint import Code, LintFinding, errors, finding_lines, lint
+from authguard_r.compile.confirmation import Confirmation, How, confirm, confirmation_bytes
+from authguard_r.compile.lint import Code, LintFinding, errors, finding_lines, lint, lint_alone
 from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import RefusedError
 from authguard_r.core.mission import Mission
+from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.keys.signer import read_signer
+from authguard_r.intake import ISSUER_ROLES
+from authguard_r.keys.certificate import Leaf
+from authguard_r.keys.signer import FileSigner, read_signer
+from authguard_r.keys.trust import read_trust
+
+_NO_SITE = "name the site with --site: nobody signs what was not shown"
 
 
 class _Reading(Struct, frozen=True, kw_only=True):
-    """What the signer gets to see; without the site there is nothing to see."""
+    """What the signer gets to see; without the site there is no card, and little lint."""
 
     card: tuple[str, ...] = ()
     findings: tuple[LintFinding, ...] = ()
@@ -38,11 +53,16 @@ def sign_command(
     key: Annotated[Path, typer.Option("--key", help="The issuer's key.")],
     cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
     site: Annotated[
-        Path | None, typer.Option("--site", help="The site, to show card and lint before signing.")
+        Path | None,
+        typer.Option("--site", help="The site, to show card and lint; only --yes goes without."),
     ] = None,
     accept: Annotated[
         list[str] | None,
         typer.Option("--accept", help="A lint error to sign nevertheless; may be repeated."),
+    ] = None,
+    trust: Annotated[
+        Path | None,
+        typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
     yes: Annotated[
@@ -51,53 +71,86 @@ def sign_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Show the card, ask, and sign. The structure is signed, never the sentence."""
-    opened = read_unverified(mission)
-    reading = _Reading()
-    if site is not None:
-        model = load_site(site)
-        reading = _Reading(card=review(opened, model), findings=lint(opened, model))
+    if site is None and not yes:
+        raise typer.BadParameter(_NO_SITE, param_hint="--site")
+    opened, signer = read_unverified(mission), read_signer(key, cert)
+    _require_issuer(opened, signer, _trust_folder(trust, cert))
+    reading = _read(opened, site)
     accepted = _accepted(accept or [], reading)
     open_errors = sorted(set(errors(reading.findings)).difference(accepted))
     if open_errors:
         return _refused(reading, open_errors, as_json=as_json)
+    if site is None:
+        warn(f"no card was shown, and the confirmation says so; {_NO_SITE}")
     if not yes:
-        shown = reading.lines() or [f"{opened.mid} version {opened.version}"]
-        typer.echo("\n".join(shown), err=as_json)
-        typer.confirm("Sign exactly this?", abort=True, err=as_json)
-    token = sign_object(opened, Tag.MISSION, read_signer(key, cert))
-    target = out or mission.with_name(mission.name.removesuffix(".json") + ".token")
-    payload = _write(target, token, opened, reading, accepted, yes=yes)
-    emit(payload, [f"{target}", f"digest {mission_digest(opened)}"], as_json=as_json)
-    return 0
-
-
-def _write(
-    target: Path,
-    token: bytes,
-    mission: Mission,
-    reading: _Reading,
-    accepted: tuple[Code, ...],
-    *,
-    yes: bool,
-) -> dict[str, Any]:
-    """Write the confirmation, then the token: no token is without its confirmation."""
+        confirm_shown(reading.lines(), "Sign exactly this?", as_json=as_json)
     confirmation = confirm(
-        mission,
+        opened,
         card=card_digest(reading.card) if reading.card else None,
         how=How.SCRIPT if yes else How.INTERACTIVE,
         accepted=accepted,
         now=wall_now(None),
     )
-    beside = target.with_suffix(".confirmation.json")
-    write_whole(beside, confirmation_bytes(confirmation))
-    write_whole(target, token)
-    return {
+    target = out or mission.with_name(mission.name.removesuffix(".json") + ".token")
+    beside = _write(target, sign_object(opened, Tag.MISSION, signer), confirmation)
+    payload = {
         "file": str(target),
-        "digest": mission_digest(mission),
-        "confirmation": msgspec.to_builtins(confirmation),
+        "digest": mission_digest(opened),
+        "card": list(reading.card),
+        "confirmation": {"card": None, **msgspec.to_builtins(confirmation)},
         "confirmation_file": str(beside),
         "lint": lint_json(reading.findings),
     }
+    shown = reading.lines() if yes else []
+    emit(payload, [*shown, f"{target}", f"digest {mission_digest(opened)}"], as_json=as_json)
+    return 0
+
+
+def _read(mission: Mission, site: Path | None) -> _Reading:
+    """Return card and lint; without the site only what can be found without it."""
+    if site is None:
+        return _Reading(findings=lint_alone(mission))
+    model = load_site(site)
+    return _Reading(card=review(mission, model), findings=lint(mission, model))
+
+
+def _trust_folder(trust: Path | None, cert: Path) -> Path | None:
+    """Return the folder that was named, else the one that the certificate lies in."""
+    around = cert.absolute().parent.parent
+    return around if trust is None and (around / "root.pem").is_file() else trust
+
+
+def _require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -> None:
+    """Refuse a key that every gate would refuse; a signature by the wrong person is no mission.
+
+    Raises:
+        AuthenticityError: the certificate does not hold under the trust root.
+        RefusedError: it is of a role that issues no missions, or of somebody else.
+    """
+    if folder is None:
+        warn("whose key it is was not checked; name the trust folder with --trust")
+        return
+    leaf: Leaf = read_trust(folder).identify(signer.chain, wall_now(None))
+    if leaf.role not in ISSUER_ROLES:
+        raise RefusedError(
+            f"expected a signer in a role of {sorted(ISSUER_ROLES)}, got `{leaf.role}`",
+            reason=Reason.ROLE_DENIED,
+            where="--cert",
+        )
+    if leaf.principal != mission.issuer:
+        raise RefusedError(
+            f"expected the key of `{mission.issuer}`, got `{leaf.principal}`'s",
+            reason=Reason.ISSUER_MISMATCH,
+            where="mission.issuer",
+        )
+
+
+def _write(target: Path, token: bytes, confirmation: Confirmation) -> Path:
+    """Write the confirmation, then the token: no token is without its confirmation."""
+    beside = beside_token(target)
+    write_whole(beside, confirmation_bytes(confirmation))
+    write_whole(target, token)
+    return beside
 
 
 def _accepted(names: list[str], reading: _Reading) -> tuple[Code, ...]:

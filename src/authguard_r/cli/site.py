@@ -25,7 +25,14 @@ from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.change import changes, line_of
 from authguard_r.site.check import faults, unreviewed
-from authguard_r.site.model import Site, ancestors, profile_digest, site_digest, stopping_mm
+from authguard_r.site.model import (
+    ActionModel,
+    Site,
+    ancestors,
+    profile_digest,
+    site_digest,
+    stopping_mm,
+)
 from authguard_r.site.names import shown
 from authguard_r.site.nav2 import import_map
 from authguard_r.site.picture import picture
@@ -270,6 +277,7 @@ def _words(model: Site) -> list[str]:
         if way is not None:
             lines.append(f"  {'':20} stops within {way} mm from {m.profile.max_speed_mm_s} mm/s")
     parts: dict[str, Any] = {
+        "words": [f"{kind:20} {_kind(m)}" for kind, m in model.vocabulary.items()],
         "people": [
             f"{person:20} {', '.join(m.roles)}  {', '.join(map(shown, m.names))}"
             for person, m in model.people.items()
@@ -279,8 +287,16 @@ def _words(model: Site) -> list[str]:
             for region, purpose in (model.emergency.places if model.emergency else {}).items()
         ],
         "baseline": list(model.baseline),
+        "channels": [f"{channel:20} {label}" for channel, label in model.channels.items()],
     }
     for title, told in parts.items():
         if told:
             lines += [f"{title}:", *(f"  {line}" for line in told)]
     return lines
+
+
+def _kind(model: ActionModel) -> str:
+    """Return what a word can do at worst, for people: impacts of 0 to 3, then its flags."""
+    flags = ("moves", "waits", "records", "stores", "transmits", "state_writing")
+    told = [f"physical {model.physical}", f"privacy {model.privacy}"]
+    return ", ".join([*told, *(flag for flag in flags if getattr(model, flag))])

@@ -67,8 +67,8 @@ def _grant(grant: Grant, site: Site) -> Iterator[str]:
     how = f"{spoken.times(grant.repeat)}, at most {grant.starts} start(s)"
     longest = f"up to {spoken.duration(grant.max_ms)} each"
     yield f"  {grant.id}: {grant.type} with {grant.tool}, {how}, {longest}{_marks(grant, site)}"
-    for row in grant.alternatives:
-        yield f"    - {spoken.row(row, site)}"
+    for number, row in enumerate(grant.alternatives):
+        yield f"    row {number}: {spoken.row(row, site)}"
     every = ": every row, also one that an attacker picks" * (grant.chooser == "planner")
     yield f"    chosen by: {grant.chooser}{every}"
     for item in grant.limits:
@@ -89,10 +89,12 @@ def _grant(grant: Grant, site: Site) -> Iterator[str]:
 
 
 def _marks(grant: Grant, site: Site) -> str:
-    """Mark what touches privacy, moves a body, presses on one, or cannot be undone."""
+    """Mark what touches privacy, can hurt, moves a body, presses on one, or cannot be undone."""
     kind = site.vocabulary.get(grant.type)
+    physical = 0 if kind is None else kind.physical
     held = (
         ("PRIVACY", kind is not None and kind.privacy > 0),
+        (f"PHYSICAL {physical}", physical > 0),
         ("MOTION", kind is not None and kind.moves),
         ("FORCE", any(item.parameter.startswith("force_") for item in grant.limits)),
         ("IRREVERSIBLE", grant.irreversible),

@@ -40,10 +40,11 @@ class Confirmation(
         mid: its name.
         version: its version.
         request: its task, in the operator's words.
-        by: who signed, as the mission names them.
+        by: who signed: the issuer, as the signing key's certificate must say.
         at_ms: the signing machine's clock, milliseconds since 1970; nobody attests it.
         how: whether anybody was asked.
-        card: digest of the card that was shown; absent when none was, and no lint either.
+        shown: whether card and lint were put before whoever signed.
+        card: digest of the card that was shown; absent when none was.
         accepted: codes of lint errors that the signer accepted by name, sorted.
     """
 
@@ -55,6 +56,7 @@ class Confirmation(
     by: PrincipalId
     at_ms: Count
     how: How
+    shown: bool
     card: Digest | None = None
     accepted: tuple[Code, ...] = ()
 
@@ -62,7 +64,15 @@ class Confirmation(
 def confirm(
     mission: Mission, *, card: Digest | None, how: How, accepted: tuple[Code, ...], now: Now
 ) -> Confirmation:
-    """Return the record of a mission being signed now."""
+    """Return the record of a mission being signed now by its issuer.
+
+    Args:
+        mission: the very structure that is signed.
+        card: digest of the card that was shown; None when nothing was.
+        how: whether anybody was asked.
+        accepted: lint errors that were accepted by name.
+        now: the signing machine's clock.
+    """
     return Confirmation(
         schema="authguard-r/confirmation/1",
         mission=digest_of(Tag.MISSION, mission),
@@ -72,6 +82,7 @@ def confirm(
         by=mission.issuer,
         at_ms=now.utc_ms,
         how=how,
+        shown=card is not None,
         card=card,
         accepted=tuple(sorted(accepted)),
     )
@@ -112,13 +123,11 @@ def read_confirmation(data: bytes, *, mission: Mission) -> Confirmation:
 
 
 def signed_inputs(token: bytes, confirmation: bytes | None, mission: Mission) -> dict[str, object]:
-    """Return what an activation's record seals: the token, and the confirmation when there is one.
+    """Return what an activation's record seals: the token, and the confirmation or the word `none`.
 
     Raises:
         MalformedError: the confirmation is none.
         RefusedError: it is of another mission.
     """
-    inputs: dict[str, object] = {"token": token.decode("ascii").strip()}
-    if confirmation is not None:
-        inputs["confirmation"] = read_confirmation(confirmation, mission=mission)
-    return inputs
+    said = "none" if confirmation is None else read_confirmation(confirmation, mission=mission)
+    return {"token": token.decode("ascii").strip(), "confirmation": said}

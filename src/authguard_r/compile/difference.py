@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.compile.facets import Bears, Facet, facets, listed_weights
+from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.mission import Mission
 from authguard_r.site.model import Site
 
@@ -35,6 +36,12 @@ def compare(old: Mission, new: Mission, site: Site) -> tuple[str, ...]:
     lines = lines or [(Bears.NEITHER, "the order of a set")]
     ranked = sorted(lines, key=lambda line: -line[0])
     return tuple(f"{_WORD[bears]} {text}" for bears, text in ranked)
+
+
+def is_next(old: Mission, new: Mission) -> bool:
+    """True when `new` is the version after `old` and names its digest: only so it supersedes it."""
+    named = (new.mid, new.version, new.supersedes)
+    return named == (old.mid, old.version + 1, digest_of(Tag.MISSION, old))
 
 
 def _ids(mission: Mission) -> frozenset[str]:

@@ -8,6 +8,8 @@ Clarification", the return-to-base case. Spec page: docs/spec/lint.md
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from authguard_r.compile.findings import (
     Code,
     LintFinding,
@@ -17,8 +19,9 @@ from authguard_r.compile.findings import (
     error,
 )
 from authguard_r.compile.lint_bounds import BOUND_RULES
-from authguard_r.compile.lint_matches import MATCH_RULES
-from authguard_r.compile.lint_scope import SCOPE_RULES
+from authguard_r.compile.lint_choice import CHOICE_RULES
+from authguard_r.compile.lint_matches import MATCH_RULES, contradictions
+from authguard_r.compile.lint_scope import SCOPE_RULES, leaves_unguarded
 from authguard_r.compile.wording import words_of
 from authguard_r.compile.worst import facts_for
 from authguard_r.core.mission import Mission
@@ -47,9 +50,24 @@ def lint(mission: Mission, site: Site, measures: Measures = DEFAULT) -> tuple[Li
         )
     task = words_of(mission.task)
     scene = Scene(mission=mission, site=site, facts=facts, measures=measures, task=task)
-    found = [
-        finding for rule in (*SCOPE_RULES, *BOUND_RULES, *MATCH_RULES) for finding in rule(scene)
-    ]
+    rules = (*SCOPE_RULES, *CHOICE_RULES, *BOUND_RULES, *MATCH_RULES)
+    return _errors_first(finding for rule in rules for finding in rule(scene))
+
+
+def lint_alone(mission: Mission) -> tuple[LintFinding, ...]:
+    """Return the errors and warnings that need no site to be seen; far fewer than `lint` finds.
+
+    Without its site nobody knows where home is; a grant that stays open once the work is done and
+    leads somewhere counts as the way there.
+
+    Args:
+        mission: the very structure that is to be signed; schema-valid.
+    """
+    shut = (f for number in range(len(mission.actions)) for f in contradictions(mission, number))
+    return _errors_first((*leaves_unguarded(mission), *shut))
+
+
+def _errors_first(found: Iterable[LintFinding]) -> tuple[LintFinding, ...]:
     return tuple(sorted(found, key=lambda finding: finding.severity is not Severity.ERROR))
 
 
@@ -70,4 +88,13 @@ def finding_lines(findings: tuple[LintFinding, ...]) -> list[str]:
     ]
 
 
-__all__ = ["Code", "LintFinding", "Measures", "Severity", "errors", "finding_lines", "lint"]
+__all__ = [
+    "Code",
+    "LintFinding",
+    "Measures",
+    "Severity",
+    "errors",
+    "finding_lines",
+    "lint",
+    "lint_alone",
+]

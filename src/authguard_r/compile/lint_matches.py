@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from authguard_r.compile.conditions import can_hold
 from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
 from authguard_r.compile.lint_scope import Rule
 from authguard_r.compile.path import reachable
 from authguard_r.core.checks.grant import MAX_BYTES, spend_of
 from authguard_r.core.identifiers import GrantId, RegionId
-from authguard_r.core.mission import Comparison, Grant, Guard, Limit, Mission, Row
+from authguard_r.core.mission import Grant, Limit, Mission, Row
 
 #: A place within the mission and why nothing can match there.
 Fault = tuple[str, str]
@@ -25,9 +26,10 @@ def never_matches(scene: Scene) -> Iterator[LintFinding]:
     near = reachable(scene.site, home)
     for number, grant in enumerate(scene.mission.actions):
         place = f"actions[{number}]"
-        for part in (_capability, _limits, _rights, _order, _budgets, _guards):
+        for part in (_capability, _limits, _rights, _budgets):
             for where, message in part(scene, grant):
                 yield error(Code.NEVER_MATCHES, *_told(f"{place}.{where}", message, grant))
+        yield from contradictions(scene.mission, number)
         faults = [
             (*_row(scene, grant, row), *_start(row, home, near)) for row in grant.alternatives
         ]
@@ -36,6 +38,13 @@ def never_matches(scene: Scene) -> Iterator[LintFinding]:
             for where, message in found:
                 spot = f"{place}.alternatives[{index}].{where}"
                 yield judge(Code.NEVER_MATCHES, *_told(spot, message, grant))
+
+
+def contradictions(mission: Mission, number: int) -> Iterator[LintFinding]:
+    """Find what keeps one grant shut by the mission's own words, at any site."""
+    grant = mission.actions[number]
+    for where, message in (*_order(mission, grant), *_guards(mission, grant)):
+        yield error(Code.NEVER_MATCHES, *_told(f"actions[{number}].{where}", message, grant))
 
 
 def _told(where: str, message: str, grant: Grant) -> tuple[str, str, str]:
@@ -83,8 +92,8 @@ def _rights(scene: Scene, grant: Grant) -> Iterator[Fault]:
                 yield f"data.{right}", f"`{grant.type}` needs the right to {right}"
 
 
-def _order(scene: Scene, grant: Grant) -> Iterator[Fault]:
-    before = _before(scene.mission, grant.id)
+def _order(mission: Mission, grant: Grant) -> Iterator[Fault]:
+    before = comes_before(mission, grant.id)
     if grant.id in before:
         yield "after", "it waits, in the end, for itself"
     for end in grant.until:
@@ -92,7 +101,7 @@ def _order(scene: Scene, grant: Grant) -> Iterator[Fault]:
             yield "until", f"`{end}` must have succeeded before it, and closes it"
 
 
-def _before(mission: Mission, start: GrantId) -> frozenset[GrantId]:
+def comes_before(mission: Mission, start: GrantId) -> frozenset[GrantId]:
     """Return every grant that must have succeeded first, by way of others too."""
     after = {grant.id: grant.after for grant in mission.actions}
     found: set[GrantId] = set()
@@ -119,49 +128,11 @@ def _budgets(scene: Scene, grant: Grant) -> Iterator[Fault]:
             yield where, f"one use of it needs more {what} than the mission has in all"
 
 
-def _guards(scene: Scene, grant: Grant) -> Iterator[Fault]:
-    guards = (*scene.mission.guards, *grant.guards)
+def _guards(mission: Mission, grant: Grant) -> Iterator[Fault]:
+    guards = (*mission.guards, *grant.guards)
     for variable in sorted({guard.variable for guard in guards}):
-        if not _can_hold([guard for guard in guards if guard.variable == variable]):
+        if not can_hold([guard for guard in guards if guard.variable == variable]):
             yield "guards", f"no `{variable}` makes all its guards true"
-
-
-def _can_hold(guards: list[Guard]) -> bool:
-    """True when one value may satisfy every condition on one variable."""
-    fixed = [guard.value for guard in guards if guard.comparison is Comparison.EQ]
-    if fixed:
-        return all(_satisfies(fixed[0], guard) for guard in guards)
-    low, high = -(2**53), 2**53
-    for guard in guards:
-        value = guard.value
-        if guard.comparison is Comparison.NE:
-            continue
-        if isinstance(value, bool) or not isinstance(value, int):
-            return False  # only integers have an order
-        if guard.comparison in {Comparison.GE, Comparison.GT}:
-            low = max(low, value + (guard.comparison is Comparison.GT))
-        else:
-            high = min(high, value - (guard.comparison is Comparison.LT))
-    return low <= high
-
-
-def _satisfies(value: object, guard: Guard) -> bool:
-    """True when the value fulfils the condition; types are compared before values."""
-    bound = guard.value
-    if type(value) is not type(bound):
-        return False
-    if guard.comparison is Comparison.EQ:
-        return value == bound
-    if guard.comparison is Comparison.NE:
-        return value != bound
-    if isinstance(value, bool) or not isinstance(value, int) or not isinstance(bound, int):
-        return False
-    return {
-        Comparison.LT: value < bound,
-        Comparison.LE: value <= bound,
-        Comparison.GT: value > bound,
-        Comparison.GE: value >= bound,
-    }[guard.comparison]
 
 
 def _row(scene: Scene, grant: Grant, row: Row) -> Iterator[Fault]:

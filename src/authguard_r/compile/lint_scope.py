@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from authguard_r.compile import wording
+from authguard_r.compile.conditions import real_guards
 from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
 from authguard_r.compile.path import SENSITIVE_TAGS
 from authguard_r.compile.worst import worst_risk
 from authguard_r.core.facts import ActionKind
 from authguard_r.core.identifiers import RegionId
-from authguard_r.core.mission import Grant, Row
-from authguard_r.core.provenance import Chooser
+from authguard_r.core.mission import Grant, Guard, Mission
 from authguard_r.site.model import ActionModel
 
 Rule = Callable[[Scene], Iterator[LintFinding]]
@@ -25,24 +25,45 @@ def unguarded_returns(scene: Scene) -> Iterator[LintFinding]:
 
     Order (`after`) is held by the registry, so it is some condition; attested state is a better.
     A guard on the whole mission says when its work may be done, not when it may be left; it counts
-    where there is no other work.
+    where there is no other work. A guard that always holds is none.
     """
-    mission = scene.mission
-    leaving = [_abandons(grant, scene) for grant in mission.actions]
+    yield from _unguarded(scene.mission, [abandons(g, scene) for g in scene.mission.actions])
+
+
+def leaves_unguarded(mission: Mission) -> Iterator[LintFinding]:
+    """The same without the site: idle types, and what leads somewhere once the work is done."""
+    last = () if mission.closing is None else mission.closing.grants
+    leaving = [
+        grant.type in _IDLE
+        or (grant.id in last and any(row.destination is not None for row in grant.alternatives))
+        for grant in mission.actions
+    ]
+    yield from _unguarded(mission, leaving)
+
+
+def _unguarded(mission: Mission, leaving: list[bool]) -> Iterator[LintFinding]:
+    if real_guards(mission.guards) and all(leaving):
+        return
     for number, grant in enumerate(mission.actions):
-        if not leaving[number] or grant.guards or (mission.guards and all(leaving)):
+        if not leaving[number] or real_guards(grant.guards, mission.guards):
             continue
-        place = f"actions[{number}].guards"
+        place, lack = f"actions[{number}].guards", _lack(grant.guards)
         mend = "add a guard on attested state, such as a low battery or empty hands"
         if grant.after:
-            message = f"only order holds `{grant.id}` back: no guard on trusted state"
+            message = f"only order holds `{grant.id}` back: {lack}"
             yield warning(Code.UNGUARDED_RETURN, place, message, mend)
         else:
-            message = f"`{grant.id}` may end the work at any time: no guard on trusted state"
+            message = f"`{grant.id}` may end the work at any time: {lack}"
             yield error(Code.UNGUARDED_RETURN, place, message, mend)
 
 
-def _abandons(grant: Grant, scene: Scene) -> bool:
+def _lack(guards: tuple[Guard, ...]) -> str:
+    if guards:
+        return "its guards on trusted state leave out no value that the mission's own allow"
+    return "no guard on trusted state"
+
+
+def abandons(grant: Grant, scene: Scene) -> bool:
     """True for waiting, docking, holding, and for going home or to an emergency place."""
     kind = scene.facts.vocabulary.get(grant.type)
     if grant.type in _IDLE or (kind is not None and kind.waits):
@@ -147,29 +168,6 @@ def _sensitive_tags(region: RegionId, scene: Scene) -> list[str]:
     return sorted(SENSITIVE_TAGS & known.tags) if known is not None else []
 
 
-def planner_chooses_risk(scene: Scene) -> Iterator[LintFinding]:
-    """`chooser: planner` accepts every row, also one that an attacker picks."""
-    for number, grant in enumerate(scene.mission.actions):
-        if (
-            grant.chooser is Chooser.PLANNER
-            and len({_risk(r, grant, scene) for r in grant.alternatives}) > 1
-        ):
-            yield warning(
-                Code.PLANNER_CHOOSES_RISK,
-                f"actions[{number}].chooser",
-                f"whoever steers the planner picks among rows of `{grant.id}` of different risk",
-                "let the operator or a supervisor choose, or split the rows into grants",
-            )
-
-
-def _risk(row: Row, grant: Grant, scene: Scene) -> tuple[int, frozenset[str], str]:
-    """Return what makes rows differ in risk: the score, the regions' tags, the object's class."""
-    regions = scene.facts.regions
-    tags = frozenset(tag for r in row.regions if r in regions for tag in regions[r].tags)
-    kind = "" if row.object is None else scene.facts.objects.get(row.object, "")
-    return worst_risk(scene.mission, grant, row, scene.facts), tags, kind
-
-
 def never_asks(scene: Scene) -> Iterator[LintFinding]:
     """A threshold above every risk that the mission can reach asks nobody, whatever happens."""
     mission = scene.mission
@@ -212,6 +210,5 @@ SCOPE_RULES: tuple[Rule, ...] = (
     unguarded_returns,
     wider_than_task,
     through_sensitive,
-    planner_chooses_risk,
     never_asks,
 )

@@ -87,13 +87,18 @@ def condition(guard: Guard) -> str:
     return f"{guard.variable} {_COMPARED[guard.comparison]} {shown}, read at most {age} ago"
 
 
-def row(item: Row, site: Site) -> str:
-    """Return one alternative, with the regions and things in it that are not harmless."""
+def row_words(item: Row) -> str:
+    """Return one alternative in words, without what the site says of it."""
     parts = [str(item.object)] if item.object is not None else []
     places = [("from", item.source), ("to", item.destination)]
     way = " ".join(f"{word} {region}" for word, region in places if region is not None)
     parts += [way] if way else []
     parts += [f"within {', '.join(item.regions)}"] if item.regions else ["at any place"]
+    return ", ".join(parts)
+
+
+def row(item: Row, site: Site) -> str:
+    """Return one alternative, with the regions and things in it that are not harmless."""
     marks = [
         f"{tag.upper()}: {region}"
         for region in item.regions
@@ -102,7 +107,7 @@ def row(item: Row, site: Site) -> str:
     ]
     if item.object in site.objects and site.objects[item.object].kind == "hazardous":
         marks.append(f"HAZARDOUS: {item.object}")
-    return ", ".join(parts) + (f"  [{', '.join(marks)}]" if marks else "")
+    return row_words(item) + (f"  [{', '.join(marks)}]" if marks else "")
 
 
 def times(count: int) -> str:

@@ -13,7 +13,7 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.drafting.clauses import Clause, Condition
 from authguard_r.drafting.frames import PLAIN, Frame
 from authguard_r.drafting.lexicon import Ref, Sort
-from authguard_r.drafting.plan import Plan
+from authguard_r.drafting.plan import Plan, Step
 from authguard_r.drafting.resolve import ANY, OBJECTS, REGIONS, field_of
 
 #: What a pronoun's antecedent must lend itself to, by frame.
@@ -40,7 +40,7 @@ def _rounds(plan: Plan, clause: Clause) -> int:
     if clause.frame in _REPEATED_BY_GRANT or clause.repeat <= 1:
         return 1
     if clause.repeat > 16 or clause.frame not in _LAID_OUT:
-        plan.resolver.unknown(f"{clause.repeat} times")
+        plan.resolver.unknown(clause, "count", f"{clause.repeat} times")
         return 1
     return clause.repeat
 
@@ -136,7 +136,7 @@ def _put_at(plan: Plan, clause: Clause, item: str, target: Ref | None) -> None:
     if target.sort is Sort.REGION:
         plan.put(clause, item, target.id)
     elif target.id == item:
-        plan.resolver.unknown(f"{item} into itself")
+        plan.resolver.unknown(clause, "destination", f"{item} into itself")
     else:
         plan.put_into(clause, item, target.id)
 
@@ -340,14 +340,20 @@ def _heat(plan: Plan, clause: Clause) -> None:
 
 
 def _leave(plan: Plan, clause: Clause) -> None:
-    """`leave it open` opens what is closed; any other leaving grants nothing."""
+    """`leave it open` opens what is closed; any other leaving grants nothing.
+
+    It says how a thing is left, not in which order: where nobody has to go, it may be opened before
+    what was said first, and for a while after completion.
+    """
     plan.resolver.read(clause, "object")
     if not clause.extras:
-        plan.resolver.unknown(clause.verb)
+        plan.resolver.unknown(clause, "object", clause.verb)
     for item in _items(plan, clause, "open") if "open" in clause.extras else ():
         if item not in plan.opened:
+            here = plan.at == plan.places[item] and bool(plan.last)
             plan.reach(clause, item)
-            plan.do(clause, "open", object=item)
+            step = Step(type="open", source=plan.at, object=item, closes=here)
+            plan.add(clause, step, free=here)
             plan.opened.add(item)
 
 

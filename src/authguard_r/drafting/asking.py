@@ -45,10 +45,24 @@ class Asking:
         return answer
 
     def insist(self, field: str, question: str) -> None:
-        """Keep a question that only another sentence can settle."""
+        """Keep a question that only another sentence can settle, instead of any other about it."""
         self._used.add(field)
-        if field not in {item.field for item in self.questions}:
-            self.questions.append(Question(field, question))
+        self.questions = [item for item in self.questions if item.field != field]
+        self.questions.append(Question(field, question))
+
+    def asked(self, field: str) -> bool:
+        """True when something was asked about a field, answered or not."""
+        return field in self._used
+
+    def widen(self, field: str, fault: str) -> None:
+        """Let a question that names a thing settle words at it, too."""
+        for number, item in enumerate(self.questions):
+            if item.field == field:
+                self.questions[number] = Question(
+                    field, f"{fault}. {item.question}", item.candidates
+                )
+                return
+        self.assume(field, self._settled.get(field, ""), f"answered; {fault}")
 
     def answer(self, field: str) -> str | None:
         """Return what was answered for a field; None when nothing was."""

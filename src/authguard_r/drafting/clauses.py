@@ -24,6 +24,7 @@ class Way(StrEnum):
     PRONOUN = "pronoun"  # it, them
     PART = "part"  # the door: of the one thing that has one
     INSIDE = "inside"  # place it inside: of the one thing that has an inside
+    DOOR = "door"  # the door of a place, or between two
 
 
 class Phrase(Struct, frozen=True):
@@ -36,6 +37,7 @@ class Phrase(Struct, frozen=True):
         clause: the number of its clause.
         refs: what it can mean; empty for a pronoun.
         exact: it is a whole name of the site.
+        sides: for a door, the regions that each place at it can mean.
     """
 
     text: str
@@ -44,6 +46,31 @@ class Phrase(Struct, frozen=True):
     clause: int
     refs: tuple[Ref, ...] = ()
     exact: bool = True
+    sides: tuple[tuple[Ref, ...], ...] = ()
+
+
+class Stray(Struct):
+    """A run of words that nothing explains.
+
+    Args:
+        begin: where it begins in the sentence, in characters.
+        end: where it ends.
+        clause: the number of its clause; 0 before the first.
+        role: the role that it stands in.
+        slot: what the words themselves are about; empty leaves it to the role.
+        limits: it takes back or limits what was said, and cannot be left out.
+        under: where the preposition stands that had no phrase yet; below 0 without one.
+        phrase: the number of the phrase that it belongs to.
+    """
+
+    begin: int
+    end: int
+    clause: int
+    role: str
+    slot: str
+    limits: bool
+    under: int
+    phrase: int | None = None
 
 
 class Condition(Struct, frozen=True):
@@ -110,6 +137,7 @@ class Sentence(Struct):
         expiry: an end with date and zone.
         length: `within 25 minutes`.
         unknown: words that nothing explains, in order.
+        unsettled: conditions that no clause follows.
     """
 
     text: str
@@ -121,4 +149,5 @@ class Sentence(Struct):
     begin: str | None = None
     expiry: str | None = None
     length: Measure | None = None
-    unknown: list[str] = msgspec.field(default_factory=list)
+    unknown: list[Stray] = msgspec.field(default_factory=list)
+    unsettled: list[str] = msgspec.field(default_factory=list)

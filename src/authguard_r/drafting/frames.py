@@ -127,6 +127,14 @@ def _verbs() -> Mapping[tuple[str, ...], Verb]:
 VERBS = _verbs()
 LONGEST_VERB = max(map(len, VERBS))
 
+#: Prepositions of place that no action type has a meaning for: kept, and asked about.
+UNSETTLED = frozenset(
+    {
+        "next to",
+        *_words("near beside behind above below around between across towards toward opposite"),
+        *_words("outside against beyond"),
+    }
+)
 #: A preposition and the role of what follows it.
 ROLES: Mapping[str, str] = MappingProxyType(
     {
@@ -135,10 +143,14 @@ ROLES: Mapping[str, str] = MappingProxyType(
         "with": "with",
         "using": "with",
         "of": "object",
+        **dict.fromkeys(UNSETTLED, "to"),
+        **dict.fromkeys(_words("via through past along"), "via"),
     }
 )
+#: Fillers before a noun only: behind one, or in capitals within a sentence, they may be a label.
+DETERMINERS = _words("the a an its your robot")
 #: Words that may stand between phrases and settle nothing.
-FILLERS = _words("the a an please also its robot kindly your")
+FILLERS = DETERMINERS | _words("please also kindly")
 #: Words that part two clauses; a list goes on after them, or a new clause begins.
 BOUNDARIES = _words("and then next finally afterwards afterward , ; . ! ?")
 #: Openings that ask politely.
@@ -167,16 +179,44 @@ EXTRAS: Mapping[Frame, frozenset[str]] = MappingProxyType(
     }
 )
 PRONOUNS = frozenset({"it", "them", "this", "that", "these", "those"})
+#: The extra that a clause has which says so.
+STAYS_OPEN = "stays open"
+#: What says that a container stays as it was opened.
+LEFT_OPEN: tuple[tuple[str, ...], ...] = tuple(
+    tuple(text.split())
+    for text in (
+        "with the door left open",
+        "with its door left open",
+        "with the lid left open",
+        "with its lid left open",
+        "with the door open",
+        "with the lid open",
+    )
+)
 #: Words that take back or limit what was said; leaving one out would widen the sentence.
 LIMITING = _words(
     "not no never none nothing nor don't doesn't cannot can't without unless except but only "
-    "instead avoid avoiding if when while until till after before once as or either least faster"
+    "instead avoid avoiding if when while until till after before once as or either least faster "
+    "within ensure ensuring prevent preventing requirement must"
 )
 #: A part of a thing that stands for the thing: `close the door` of the one thing that has one.
 PARTS = frozenset({"door", "lid"})
 #: Manners that the profile turns into tighter bounds; no manner ever loosens one.
 CAREFUL = _words("gently carefully softly slowly securely safely")
 COUNTS: Mapping[str, int] = MappingProxyType({"once": 1, "twice": 2, "thrice": 3})
+#: Words about a manner that is not understood, and what they are about.
+MANNERS: Mapping[str, str] = MappingProxyType(
+    {
+        **dict.fromkeys(_words("velocity speed pace fast quick rapid slow hurry"), "speed"),
+        **dict.fromkeys(_words("force pressure hard strong might"), "force"),
+        **dict.fromkeys(
+            _words("second seconds minute minutes hour hours moment long few briefly"), "duration"
+        ),
+        **dict.fromkeys(_words("more again repeat repeatedly times"), "count"),
+    }
+)
+#: Frames whose object is where they lead.
+TRAVEL = frozenset({Frame.GO, Frame.PATROL, Frame.GUIDE, Frame.RETURN, Frame.WAIT})
 #: Words for the place that a robot returns to.
 HOMES = frozenset({"base", "home"})
 #: What introduces a quantity that bounds from above, longest first, and the limit that it names.

@@ -77,6 +77,15 @@ class Lexicon(Struct, frozen=True):
                         return Match(text, size, table[key], exact)
         return None
 
+    def numbered(self, token: Token, last: str) -> Match | None:
+        """Return what a number means that goes on with the last name: `stations 101, 102`."""
+        stem = last.rpartition(" ")[0] if token.kind is Kind.NUMBER else ""
+        for said in (stem, stem.removesuffix("s")):
+            refs = self.names.get(runs(f"{said} {token.low}"), ()) if stem else ()
+            if refs:
+                return Match(f"{said} {token.low}", 1, refs, exact=True)
+        return None
+
 
 def read_lexicon(site: Site, *, reserved: Iterable[str]) -> Lexicon:
     """Return the names of a site.
@@ -134,8 +143,9 @@ def _heads(spelling: str) -> Iterator[Key]:
 def _spellings(text: str) -> Iterator[Key]:
     """Yield the key of a phrase as it is, then in the singular."""
     yield runs(text)
+    last = text.rsplit(maxsplit=1)[-1]  # a label `S` behind a name is no plural
     for ending, instead in (("s", ""), ("es", ""), ("ies", "y")):
-        if text.lower().endswith(ending) and len(text) > len(ending) + 1:
+        if text.lower().endswith(ending) and len(last) > len(ending):
             yield runs(text[: -len(ending)] + instead)
     if _PLURAL.search(text):
         yield runs(_PLURAL.sub("", text))

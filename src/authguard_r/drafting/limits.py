@@ -40,6 +40,13 @@ _SPELLED = {
     "duration": ("duration", ("s", "min", "h")),
     "at": ("at", ("m/s", "km/h")),
 }
+_SLOTS = {
+    Dimension.SPEED: "speed",
+    Dimension.FORCE: "force",
+    Dimension.TIME: "duration",
+    Dimension.BYTES: "data.record",
+    Dimension.SHARE: "condition",
+}
 Bounds = tuple[Any, Any]
 
 
@@ -76,10 +83,10 @@ class Limits:
                 clause.measures.setdefault(found.dimension, found)
         return begin
 
-    def unused(self, clause: Clause) -> tuple[str, ...]:
-        """Return the quantities of a clause that bound nothing."""
+    def unused(self, clause: Clause) -> tuple[tuple[str, str], ...]:
+        """Return the quantities of a clause that bound nothing, each with its slot."""
         return tuple(
-            said.text
+            (_SLOTS[dimension], said.text)
             for dimension, said in clause.measures.items()
             if (clause.number, dimension) not in self._used
         )

@@ -15,6 +15,7 @@ from msgspec import Struct
 from authguard_r.core.identifiers import ActionType, ObjectId, RegionId, RobotId
 from authguard_r.drafting.asking import Asking
 from authguard_r.drafting.clauses import Clause
+from authguard_r.drafting.frames import STAYS_OPEN
 from authguard_r.drafting.limits import Limits
 from authguard_r.drafting.profile import Profile
 from authguard_r.drafting.resolve import Resolver, field_of
@@ -92,6 +93,7 @@ class Plan:
         self.holding: str | None = None
         self.places = {str(item): str(model.home) for item, model in site.objects.items()}
         self.opened: set[str] = set()
+        self.kept_open: set[int] = set()
         self.filled: dict[str, str | None] = {}
         self.seen: dict[str, list[str]] = {}
         self.last: tuple[int, ...] = ()
@@ -244,7 +246,7 @@ class Plan:
     def close(self, clause: Clause, item: str) -> None:
         """Close a thing; what was only implied becomes what was said."""
         for number, step in enumerate(self.steps):
-            if step.closes and step.object == item:
+            if step.closes and (step.type, step.object) == ("close", item):
                 step.implied = step.closes = False
                 step.after = tuple(sorted({*step.after, *self.last}))
                 self.last = (number,)
@@ -272,7 +274,9 @@ class Plan:
         number = self.do(
             clause, "put_in", object=receiver, destination=self.at, holding=item, leaves=NOTHING
         )
-        if opens:
+        if STAYS_OPEN in clause.extras and (opens or receiver in self.opened):
+            self.kept_open.add(clause.number)
+        elif opens:
             self.lock(clause, receiver, number)
         self.places[item], self.holding = self.places[receiver], None
 

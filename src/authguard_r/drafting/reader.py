@@ -8,15 +8,16 @@ becomes a question, because a condition could hide in it.
 from __future__ import annotations
 
 from authguard_r.drafting import frames
+from authguard_r.drafting.amounts import is_filler, take_amount, take_count, take_details
 from authguard_r.drafting.clauses import Clause, Condition, Phrase, Sentence, Way
 from authguard_r.drafting.cursor import Cursor
+from authguard_r.drafting.doors import read_door
 from authguard_r.drafting.frames import Frame, Verb
-from authguard_r.drafting.lexicon import Lexicon, Sort
-from authguard_r.drafting.measures import read_measure, read_number
+from authguard_r.drafting.lexicon import Lexicon, Ref, Sort
+from authguard_r.drafting.strays import Strays, settle_clauses
 from authguard_r.drafting.terms import take_condition, take_end, take_right, take_rights, take_start
-from authguard_r.drafting.tokens import Kind, Token, runs
+from authguard_r.drafting.tokens import Token
 
-_MARKS = frozenset("\"'\u201c\u201d\u2018\u2019()")
 _IMPLIED = frozenset({"in", "inside", "into"})
 
 
@@ -52,6 +53,9 @@ class _Reader:
         self._preposition = ""
         self._waiting: Condition | None = None
         self._last_name = ""
+        self._strays = Strays(self.said)
+        self._preposition_at = -1
+        self._behind_noun = -1  # the token right behind a noun: no article stands there
 
     def read(self) -> None:
         """Read every token; each pass of the loop takes at least one."""
@@ -59,37 +63,41 @@ class _Reader:
             self._boundary,
             self._opening,
             self._robot,
-            self._end,
-            self._start,
+            self._window,
             self._condition,
             self._rights,
             self._after,
             self._verb,
             self._particle,
             self._bound,
+            self._door,
             self._name,
             self._pronoun,
-            self._count,
-            self._filled,
+            self._term,
             self._detail,
             self._prepositional,
         )
         while self._here.at < len(self._here.tokens):
             if not any(rule() for rule in rules):
-                self._unknown(self._here.tokens[self._here.at].text)
-                self._here.at += 1
+                self._unknown()
         self._end_of_phrase()
         if self._waiting is not None:
-            self._unknown(self._waiting.text)
+            self.said.unsettled.append(self._waiting.text)
+        settle_clauses(self.said)
 
-    def _unknown(self, text: str) -> None:
-        if text not in self.said.unknown:
-            self.said.unknown.append(text)
+    def _unknown(self) -> None:
+        token = self._here.tokens[self._here.at]
+        role, under = "" if self._fresh else self._role, -1
+        if self._preposition:
+            role, under = frames.ROLES[self._preposition], self._preposition_at
+        self._strays.add(token, self._clause, role=role, under=under, label=self._here.low(1))
+        self._here.at += 1
 
     def _boundary(self) -> bool:
-        if self._here.low() not in frames.BOUNDARIES:
+        if self._here.low() not in frames.BOUNDARIES or self._here.starts(("next", "to")):
             return False
         self._end_of_phrase()
+        self._strays.end(self._here.low())
         self._here.at += 1
         self._fresh = True
         return True
@@ -100,8 +108,9 @@ class _Reader:
             return
         if self._preposition in _IMPLIED and self._clause is not None:
             self._add(Way.INSIDE, self._preposition)
-        else:
-            self._unknown(self._preposition)
+        elif self._preposition not in frames.UNSETTLED:
+            at, role = self._preposition_at, frames.ROLES[self._preposition]
+            self._strays.dangling(at, at + len(self._preposition), self._clause, role)
         self._preposition = ""
 
     def _opening(self) -> bool:
@@ -109,11 +118,8 @@ class _Reader:
         self._here.at += size
         return size > 0
 
-    def _end(self) -> bool:
-        return take_end(self._here, self.said)
-
-    def _start(self) -> bool:
-        return take_start(self._here, self.said)
+    def _window(self) -> bool:
+        return take_end(self._here, self.said) or take_start(self._here, self.said)
 
     def _condition(self) -> bool:
         """A condition belongs to the clause that it stands in, else to the one that follows."""
@@ -150,16 +156,16 @@ class _Reader:
                 return True
         return False
 
-    def _filled(self) -> bool:
-        """`a mug filled with water`: filled first, by the same clause."""
+    def _term(self) -> bool:
+        """Quantities, counts and details of a clause that stand without a phrase."""
         clause = self._clause
-        if clause is None or clause.liquid is not None or not self._here.starts(("filled", "with")):
+        if clause is None:
             return False
-        if clause.frame not in {Frame.PUT, Frame.DELIVER} or self._here.low(2) not in self._liquids:
-            return False
-        clause.liquid = self._here.low(2)
-        self._here.at += 3
-        return True
+        return take_count(self._here, clause) or take_details(self._here, clause, self._liquids)
+
+    def _bound(self) -> bool:
+        clause = self._clause
+        return clause is not None and not self._preposition and take_amount(self._here, clause)
 
     def _verb(self) -> bool:
         if not self._fresh:
@@ -190,9 +196,8 @@ class _Reader:
         if clause is None or clause.frame is not Frame.TURN or word not in {"on", "off"}:
             return False
         named = self._here.at + 1 < len(self._here.tokens) and self._next_is_phrase()
-        if named and not (self._fresh and clause.state) and word == "on" and clause.state:
-            return False
-        if named and "object" in clause.roles and word == "on":
+        settled = "object" in clause.roles or (bool(clause.state) and not self._fresh)
+        if named and settled and word == "on":
             return False
         clause.state.append(word)
         self._here.at += 1
@@ -206,30 +211,6 @@ class _Reader:
         known = word in frames.FILLERS or word in frames.PRONOUNS
         return known or self._lexicon.match(self._here.tokens, self._here.at + 1) is not None
 
-    def _bound(self) -> bool:
-        """`at 0.8 m/s`, `for at most 30 s`, and numbers whose unit is missing."""
-        clause = self._clause
-        if clause is None or self._preposition:
-            return False
-        for words, meant in (*frames.BOUNDS, ((), "")):
-            if not self._here.starts(words):
-                continue
-            place = self._here.at + len(words)
-            measure = read_measure(self._here.tokens, place)
-            if measure is not None and measure.dimension not in clause.measures:
-                clause.measures[measure.dimension] = measure
-                self._here.at = place + measure.size
-                return True
-            number = read_number(self._here.tokens, place)
-            if number is not None and meant and not self._counted(place + number[1]):
-                clause.bare.append((meant, number[0]))
-                self._here.at = place + number[1]
-                return True
-        return False
-
-    def _counted(self, place: int) -> bool:
-        return place < len(self._here.tokens) and self._here.tokens[place].low in {"times", "time"}
-
     def _robot(self) -> bool:
         """`courier-1, bring ...`: who is meant, wherever it is said."""
         match = self._lexicon.match(self._here.tokens, self._here.at)
@@ -237,7 +218,21 @@ class _Reader:
             return False
         self.said.robots += [ref.id for ref in match.refs]
         self._here.at += match.size
+        self._behind_noun = self._here.at
         self._preposition = ""
+        return True
+
+    def _door(self) -> bool:
+        """`the door of the pharmacy`, `the pharmacy door`: a door by what it leads to."""
+        clause = self._clause
+        if clause is None or clause.frame not in {Frame.OPEN, Frame.CLOSE}:
+            return False
+        found = read_door(self._here, self._lexicon)
+        if found is None:
+            return False
+        first, last = self._here.span(found.size)
+        self._here.at += found.size
+        self._add(Way.DOOR, self.said.text[first:last], sides=found.sides)
         return True
 
     def _name(self) -> bool:
@@ -250,21 +245,18 @@ class _Reader:
         self._add(Way.NAMED, match.text, match.refs, exact=match.exact)
         self._last_name = match.text
         self._skip_part()
+        self._behind_noun = self._here.at
         return True
 
     def _numbered(self) -> bool:
         """`stations 101, 102 and 103`: a number that goes on with the last name."""
-        if not self._fresh or self._here.tokens[self._here.at].kind is not Kind.NUMBER:
+        if not self._fresh or self._clause is None:
             return False
-        stem = self._last_name.rpartition(" ")[0]
-        for said in (stem, stem.removesuffix("s")):
-            text = f"{said} {self._here.low()}"
-            refs = self._lexicon.names.get(runs(text), ()) if stem else ()
-            if refs and self._clause is not None:
-                self._here.at += 1
-                self._add(Way.NAMED, text, refs)
-                return True
-        return False
+        match = self._lexicon.numbered(self._here.tokens[self._here.at], self._last_name)
+        if match is not None:
+            self._here.at += 1
+            self._add(Way.NAMED, match.text, match.refs)
+        return match is not None
 
     def _skip_part(self) -> None:
         """`the microwave door`: the part of a thing is the thing, when it is opened or closed."""
@@ -290,7 +282,13 @@ class _Reader:
         return True
 
     def _add(
-        self, way: Way, text: str, refs: tuple[object, ...] = (), *, exact: bool = True
+        self,
+        way: Way,
+        text: str,
+        refs: tuple[Ref, ...] = (),
+        *,
+        exact: bool = True,
+        sides: tuple[tuple[Ref, ...], ...] = (),
     ) -> None:
         """Put a phrase into the role that its preposition, or its place in a list, gives it."""
         clause = self._clause
@@ -301,25 +299,12 @@ class _Reader:
             clause.extras.add(self._preposition)
         elif not self._fresh:
             self._role = "object"
-        phrase = Phrase(text, way, len(self.said.phrases), clause.number, refs, exact)  # type: ignore[arg-type]
+        phrase = Phrase(text, way, len(self.said.phrases), clause.number, refs, exact, sides)
+        self._strays.phrase(phrase.number)
+        self._behind_noun = self._here.at
         clause.roles.setdefault(self._role, []).append(phrase)
         self.said.phrases.append(phrase)
         self._preposition, self._fresh = "", False
-
-    def _count(self) -> bool:
-        clause = self._clause
-        if clause is None or clause.repeat:
-            return False
-        number = read_number(self._here.tokens, self._here.at)
-        if self._here.low() in frames.COUNTS:
-            repeat, size = frames.COUNTS[self._here.low()], 1
-        elif number and number[0].isdigit() and self._counted(self._here.at + number[1]):
-            repeat, size = int(number[0]), number[1] + 1
-        else:
-            return False
-        clause.repeat = repeat
-        self._here.at += size if repeat else 0
-        return repeat > 0
 
     def _detail(self) -> bool:
         """Manners, liquids, words of the frame, fillers and quotation marks."""
@@ -328,13 +313,16 @@ class _Reader:
             clause.careful = True
         elif clause is not None and word in self._liquids and self._takes_liquid(clause):
             clause.liquid, self._preposition = word, ""
+            self._behind_noun = self._here.at + 1
         elif clause is not None and self._is_extra(clause, word):
             clause.extras.add(word)
             self._preposition = ""
+            self._behind_noun = self._here.at + (clause.frame is Frame.GUIDE)
         elif clause is not None and clause.frame is Frame.RETURN and word in frames.HOMES:
             clause.extras.add("home")
             self._preposition = ""
-        elif word not in frames.FILLERS and word not in _MARKS:
+            self._behind_noun = self._here.at + 1
+        elif not is_filler(self._here, fresh=self._fresh, behind=self._behind_noun):
             if clause is None and word in frames.CAREFUL:
                 return self._careful_opening()
             return False
@@ -360,8 +348,18 @@ class _Reader:
         return clause.frame in {Frame.POUR, Frame.FILL} and clause.liquid is None
 
     def _prepositional(self) -> bool:
-        if self._clause is None or self._here.low() not in frames.ROLES or self._preposition:
+        taken = bool(self._preposition) and not self._strays.holds(self._preposition_at)
+        if self._clause is None or taken:
             return False
-        self._preposition = self._here.low()
-        self._here.at += 1
+        size = 2 if self._here.starts(("next", "to")) else 1
+        word = " ".join(self._here.low(n) for n in range(size))
+        if word not in frames.ROLES:
+            return False
+        if self._preposition:  # words that nothing explains had followed the one before
+            self._strays.extend(self._preposition_at)
+        self._strays.preposition()
+        self._preposition, self._preposition_at = word, self._here.tokens[self._here.at].at
+        for _ in range(size if word in frames.UNSETTLED else 0):
+            self._unknown()
+        self._here.at += 0 if word in frames.UNSETTLED else size
         return True

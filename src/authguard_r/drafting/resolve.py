@@ -11,9 +11,12 @@ from collections.abc import Iterable
 
 from authguard_r.drafting.asking import Asking
 from authguard_r.drafting.clauses import Clause, Phrase, Sentence, Way
-from authguard_r.drafting.frames import LIMITING
+from authguard_r.drafting.doors import doors, doors_at, passages
+from authguard_r.drafting.frames import LIMITING, UNSETTLED
+from authguard_r.drafting.leftovers import Leftovers
 from authguard_r.drafting.lexicon import Ref, Sort
 from authguard_r.drafting.profile import Profile
+from authguard_r.drafting.strays import CONDITION, slot_of, slot_of_stray, words_of
 from authguard_r.site.model import Site
 
 OBJECTS = (Sort.OBJECT,)
@@ -26,6 +29,12 @@ def field_of(clause: Clause, slot: str) -> str:
     return slot if clause.number == 1 else f"step{clause.number}.{slot}"
 
 
+def not_understood(words: Iterable[str]) -> str:
+    """Return the beginning of a question about words that stand at what it asks for."""
+    said = " and ".join(f'"{word}"' for word in words)
+    return f"{said} is not understood. " if said else ""
+
+
 class Resolver:
     """Resolves the phrases of one sentence at one site."""
 
@@ -36,6 +45,8 @@ class Resolver:
         self._asking = asking
         self._meant: dict[int, Ref] = {}
         self._read: set[tuple[int, str]] = set()
+        self._explained: set[int] = set()
+        self._leftovers = Leftovers(asking)
 
     def one(
         self, clause: Clause, role: str, slot: str, sorts: tuple[Sort, ...], *, able: str = ""
@@ -79,18 +90,60 @@ class Resolver:
         options = self._options(phrase, sorts, able=able)
         if options is None:
             return None
-        field = field_of(clause, slot)
-        if len(options) == 1:
+        words = self._words_at(phrase)
+        if len(options) == 1 and not words:
             self._meant[phrase.number] = options[0]
             if phrase.way is not Way.NAMED or not phrase.exact:
                 why = f"nothing else that `{phrase.text}` can mean here"
-                self._asking.assume(field, options[0].id, why)
+                self._asking.assume(field_of(clause, slot), options[0].id, why)
             return options[0]
-        question = f"Which {slot} does `{phrase.text}` mean?"
-        found = self._ask(clause, slot, question, options or self._everything(sorts))
+        if not options and "door" in phrase.text.lower().split():
+            found = self._ask_door(clause, phrase, slot)
+        else:
+            question = f"{not_understood(words)}Which {slot} does `{phrase.text}` mean?"
+            if any(word.lower() in UNSETTLED for word in words):
+                options = self._around(options, sorts)
+            found = self._ask(clause, slot, question, options or self._everything(sorts))
         if found is not None:
             self._meant[phrase.number] = found
         return found
+
+    def _words_at(self, phrase: Phrase) -> tuple[str, ...]:
+        """Return words at a phrase that nothing explains; the question about it is theirs too."""
+        found = []
+        for number, stray in enumerate(self._sentence.unknown):
+            if stray.phrase == phrase.number and not stray.slot:
+                self._explained.add(number)
+                found.append(words_of(stray, self._sentence.text))
+        return tuple(found)
+
+    def _around(self, options: tuple[Ref, ...], sorts: tuple[Sort, ...]) -> tuple[Ref, ...]:
+        """Return the options, and the places that lie at them: for `near` and its like."""
+        if Sort.REGION not in sorts:
+            return options
+        places: list[str] = []
+        for ref in options:
+            if ref.sort is Sort.OBJECT:
+                places.append(self._site.objects[ref.id].home)  # type: ignore[index]
+            for door in self._site.doors:
+                places += [side for side in door.between if ref.id in door.between]
+        return tuple(dict.fromkeys((*options, *(Ref(Sort.REGION, place) for place in places))))
+
+    def _ask_door(self, clause: Clause, phrase: Phrase, slot: str) -> Ref | None:
+        """Ask which door is meant; a passage that is no thing of the site cannot be opened."""
+        known = doors(self._site)
+        if known:
+            return self._ask(clause, slot, f"Which {slot} does `{phrase.text}` mean?", known)
+        field = field_of(clause, slot)
+        question = f"The site has no thing that is `{phrase.text}`: which door is meant?"
+        answer = self._asking.ask(field, question, passages(self._site))
+        if answer is not None:
+            self._asking.insist(
+                field,
+                f"`{answer}` says whether a door is open, but the site has no thing of class "
+                "`door` for it: say it otherwise",
+            )
+        return None
 
     def read(self, clause: Clause, role: str) -> list[Phrase]:
         """Return the phrases in a role; from then on they count as used."""
@@ -102,28 +155,34 @@ class Resolver:
         for role, phrases in clause.roles.items():
             if (clause.number, role) not in self._read:
                 for phrase in phrases:
-                    self.unknown(phrase.text)
+                    things = [ref for ref in phrase.refs if ref.sort is Sort.OBJECT]
+                    slot = "object" if things and role == "object" else slot_of(role, clause.frame)
+                    self.unknown(clause, slot, phrase.text)
 
-    def unknown(self, word: str) -> None:
-        """Ask about words without a meaning here: a condition could hide in them.
+    def unknown(self, clause: Clause | None, slot: str, text: str) -> None:
+        """Keep words without a use here, to be asked about: a condition could hide in them."""
+        limits = LIMITING.intersection(text.lower().replace("\u2019", "'").split())
+        slot = CONDITION if limits else slot
+        field = slot if clause is None else field_of(clause, slot)
+        self._leftovers.add(field, text, limits=bool(limits))
 
-        A word that turns a sentence round or limits it cannot be left out: what remains would
-        grant what was held back.
-        """
-        if LIMITING.intersection(word.lower().replace("\u2019", "'").split()):
-            self._asking.insist(
-                f"word.{word}",
-                f'the word "{word}" limits what was said in a way that is not understood: '
-                "say it otherwise",
-            )
-            return
-        answer = self._asking.ask(
-            f"word.{word}",
-            f'the word "{word}" is not understood: leave it out or say it otherwise',
-            ("leave it out",),
-        )
-        if answer is not None:
-            self._asking.assume(f"word.{word}", "left out", "answered")
+    def finish(self) -> None:
+        """Ask about everything that no step used, each at the slot that it could change."""
+        for text in self._sentence.unsettled:
+            self.unknown(None, CONDITION, text)
+        by_number = {clause.number: clause for clause in self._sentence.clauses}
+        for number, stray in enumerate(self._sentence.unknown):
+            if number in self._explained:
+                continue
+            clause = by_number.get(stray.clause)
+            text = words_of(stray, self._sentence.text)
+            if clause is None:
+                why = "the sentence has no verb that a robot could follow"
+                self._asking.insist(CONDITION, f'"{text}": {why}')
+                continue
+            slot = slot_of_stray(stray, clause.frame)
+            self._leftovers.add(field_of(clause, slot), text, limits=stray.limits, said=True)
+        self._leftovers.ask()
 
     def _options(
         self, phrase: Phrase, sorts: tuple[Sort, ...], *, able: str = ""
@@ -131,6 +190,8 @@ class Resolver:
         """Return what a phrase can mean; None while another open question decides it."""
         if phrase.number in self._meant and self._meant[phrase.number].sort in sorts:
             return (self._meant[phrase.number],)
+        if phrase.way is Way.DOOR:
+            return doors_at(self._site, phrase.sides)
         if phrase.way is Way.NAMED:
             return tuple(ref for ref in phrase.refs if ref.sort in sorts)
         if phrase.way is not Way.PRONOUN:

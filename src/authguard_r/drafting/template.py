@@ -90,10 +90,9 @@ class TemplateProposer(Struct, frozen=True):
         plan = Plan(site, named, self.profile, asking, resolver)
         for clause in said.clauses:
             self._clause(plan, clause, said)
-        for word in said.unknown:
-            resolver.unknown(word)
         if len(plan.steps) > MAX_STEPS:
-            resolver.unknown(f"{len(plan.steps)} steps")
+            resolver.unknown(None, "count", f"{len(plan.steps)} steps")
+        resolver.finish()
         if all(step.implied for step in plan.steps) and not asking.questions:
             asking.ask("task", "What should the robot do? The sentence grants nothing")
         _looks(plan, self.profile)
@@ -105,10 +104,12 @@ class TemplateProposer(Struct, frozen=True):
         act(plan, clause)
         if len(plan.asking.questions) == before:
             plan.resolver.require_read(clause)
-            for text in plan.limits.unused(clause):
-                plan.resolver.unknown(text)
-        if clause.rights and clause.frame not in _LOOKING:
-            plan.resolver.unknown(", ".join(sorted(clause.rights)))
+            for slot, text in plan.limits.unused(clause):
+                plan.resolver.unknown(clause, slot, text)
+        if frames.STAYS_OPEN in clause.extras and clause.number not in plan.kept_open:
+            plan.resolver.unknown(clause, "destination", "left open")
+        for right in sorted(clause.rights) if clause.frame not in _LOOKING else ():
+            plan.resolver.unknown(clause, f"data.{right}", right)
 
     def _mission(self, said: Sentence, steps: list[Step], asking: Asking) -> str:
         """Return a mission id: what it is about and when it was drafted."""

@@ -52,21 +52,31 @@ class _Form(Struct, frozen=True):
     Args:
         names: the names that may be there.
         tree: the way to each path; None when every name is a path, as it stands.
-        readers: path, place below the call, what is known of it, what reads it.
+        readers: path, place below the call, target, what reads it, what is carried without it,
+            and whether a call without it is refused.
     """
 
     names: frozenset[str]
     tree: Tree | None
-    readers: tuple[tuple[str, str, Argument, Reader], ...]
+    readers: tuple[tuple[str, str, str, Reader, int | None, bool], ...]
 
 
 class _Way(Struct, frozen=True):
-    """One way of a tool with its form; `places` says that regions follow from other fields."""
+    """One way of a tool, worked out once.
+
+    Args:
+        tool: the way itself.
+        kind: the action type that it means.
+        form: what its arguments are held to.
+        places: regions follow from other fields.
+        params: the parameters that it can fill, sorted, each with its target.
+    """
 
     tool: ToolBinding
     kind: ActionModel
     form: _Form
     places: bool
+    params: tuple[tuple[ParameterId, str], ...]
 
 
 class Binder:
@@ -104,11 +114,6 @@ class Binder:
         self._collect(way.form, call.arguments, fields, call.where, call.tool)
         if way.places:
             self._settle(fields, call.where)
-        params = {
-            ParameterId(target.removeprefix("params.")): fields[target]
-            for target in sorted(fields)
-            if target.startswith("params.")
-        }
         return Action(
             type=way.tool.type,
             tool=way.tool.tool,
@@ -116,7 +121,7 @@ class Binder:
             source=fields.get("source"),
             destination=fields.get("destination"),
             route=fields.get("route", ()),
-            params=params,
+            params={name: fields[target] for name, target in way.params if target in fields},
         )
 
     def attested(self, call: Call) -> tuple[str, ...]:
@@ -150,9 +155,11 @@ class Binder:
 
     def _way(self, tool: ToolBinding) -> _Way:
         kind = self._site.vocabulary[tool.type]
-        targets = {argument.to for argument in tool.arguments.values()}
+        targets = {*tool.fixed, *(argument.to for argument in tool.arguments.values())}
         form = self._form(tool.arguments, tool.when, kind)
-        return _Way(tool, kind, form, not targets.isdisjoint({STOPS, POSE[0]}))
+        params = tuple((name, f"params.{name}") for name in sorted(kind.params))
+        held = tuple((name, target) for name, target in params if target in targets)
+        return _Way(tool, kind, form, not targets.isdisjoint({STOPS, POSE[0]}), held)
 
     def _form(
         self, arguments: dict[str, Argument], when: dict[str, Constant], kind: ActionModel
@@ -164,9 +171,9 @@ class Binder:
             names=frozenset(paths),
             tree=None if flat else _tree(paths),
             readers=tuple(
-                (path, _suffix(path), argument, self._reader(argument, kind))
-                for path, argument in arguments.items()
-                if argument.use is not Use.NOTED
+                (path, _suffix(path), a.to, self._reader(a, kind), a.default, _is_needed(a))
+                for path, a in arguments.items()
+                if a.use is not Use.NOTED
             ),
         )
 
@@ -182,12 +189,12 @@ class Binder:
         elif not given.keys() <= form.names:
             unknown = min(given.keys() - form.names)
             raise _unknown(tool, f"{where}.{ascii(unknown)[1:-1][:80]}")
-        for path, suffix, argument, reader in form.readers:
+        for path, suffix, target, reader, default, needed in form.readers:
             if path in given:
-                fields[argument.to] = reader(given[path], where + suffix)
-            elif argument.default is not None:
-                fields[argument.to] = argument.default
-            elif argument.use is not Use.REFUSED and not argument.optional:
+                fields[target] = reader(given[path], where + suffix)
+            elif default is not None:
+                fields[target] = default
+            elif needed:
                 raise _refusal(Reason.FIELD_MISSING, "expected a value", where + suffix)
 
     def _settle(self, fields: dict[str, Any], where: str) -> None:
@@ -248,6 +255,11 @@ class Binder:
             return str(fields[REGION]) if REGION in fields else self._region(fields, where)
 
         return read
+
+
+def _is_needed(argument: Argument) -> bool:
+    """True when a call that leaves the argument out is refused, unless something is carried."""
+    return argument.use is not Use.REFUSED and not argument.optional
 
 
 def look(arguments: Any, path: str) -> Any:

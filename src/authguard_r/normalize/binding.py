@@ -41,6 +41,10 @@ Constant = bool | Integer | str
 
 #: Targets that together name the region in which a position lies.
 POSE = ("pose.x", "pose.y", "pose.map")
+#: Arguments whose constant names what is really moved, as ROS interfaces call them.
+_MOVED = ("topic", "action", "action_name", "service", "service_name")
+#: Arguments that only name the form of a message: in any form it goes to the same receiver.
+_FORMS = ("type", "msg_type", "action_type", "service_type")
 #: The target of a list of places: the last is the destination, those before it the route.
 STOPS = "stops"
 #: The target of a place's name within `each`.
@@ -106,9 +110,13 @@ class ToolBinding(
         arguments: by external name, or by dotted path to a nested one (`goal.pose.position.x`,
             `doors.0`); what is not here is refused.
         fixed: action fields and parameters that the controller's configuration settles.
+        controller: the controller whose configuration settles them; its digest is in the profile
+            of every robot that has the tool.
         monitored: those fixed parameters that the lease holds on attested state.
         attested: fields that attested state fills when the plan's turn comes.
         when: arguments whose constants tell this way from the others of the same tool.
+        effect: what is really moved, a topic, action, service or controller; empty: what
+            `effect_of` reads from the constants. Ways to one effect have one type and one tool.
         message: the ROS type whose fields stand under `body` (`nav2_msgs/action/Wait`).
         body: the path under which they stand; empty: at the top.
         noted: why the tool is bound as it is; for people.
@@ -118,9 +126,11 @@ class ToolBinding(
     tool: ToolId
     arguments: dict[str, Argument] = {}
     fixed: dict[str, Integer | Identifier] = {}
+    controller: Identifier | None = None
     monitored: tuple[str, ...] = ()
     attested: tuple[Literal["source"], ...] = ()
     when: dict[str, Constant] = {}
+    effect: str = ""
     message: str = ""
     body: str = ""
     noted: str = ""
@@ -166,6 +176,18 @@ def ways_of(binding: Binding, name: str) -> tuple[Way, ...]:
     return tuple(Way(name, f"tools.{name}[{n}]", tool) for n, tool in enumerate(found))
 
 
+def effect_of(tool: ToolBinding) -> str:
+    """Return what a way really moves, without outer slashes; empty when nothing says it.
+
+    It is what the author declares, else the ROS name that the way holds constant: `/cmd_vel` and
+    `cmd_vel` move the same wheels, whatever the form of the message.
+    """
+    constants = {n: a.constant() for n, a in tool.arguments.items()} | tool.when
+    named = (tool.effect, *(constants.get(name) for name in _MOVED))
+    found = (name for name in named if isinstance(name, str) and name)
+    return next(found, "").strip("/ ")
+
+
 def binding_digest(binding: Binding) -> Digest:
     """Return the digest under which the log names the binding."""
     return digest_of(Tag.BINDING, binding)
@@ -195,7 +217,8 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
     for name in binding.tools:
         found = ways_of(binding, name)
         for number, way in enumerate(found):
-            if not all(word.isascii() for word in (name, *_words(way.tool.arguments))):
+            words = (name, way.tool.effect, *_words(way.tool.arguments))
+            if not all(word.isascii() for word in words):
                 yield f"tools.{name!a}", "expected names in ASCII"
                 continue
             for place, fault in _faults(way.tool, site):
@@ -203,6 +226,30 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
             for other in found[:number]:
                 if not _apart(way.tool, other.tool):
                     yield f"{way.place}.when", f"expected a constant that `{other.place}` has not"
+    yield from _effect_faults(binding, site)
+
+
+def _effect_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
+    """A refusal of one way is none while another way to the same effect has another name."""
+    movers: dict[str, list[Way]] = {}
+    for way in ways(binding):
+        kind, effect = site.vocabulary.get(way.tool.type), effect_of(way.tool)
+        if not effect or kind is None or kind.state_writing:  # the last move nothing, ever
+            continue
+        others = movers.setdefault(effect, [])
+        other = next((other for other in others if not _may_share(way.tool, other.tool)), None)
+        if other is not None:
+            wanted, got = (f"`{w.tool.type}` by `{w.tool.tool}`" for w in (other, way))
+            message = f"expected {wanted} as `{other.place}` moves `{effect}`, got {got}"
+            yield f"{way.place}.effect", message
+        others.append(way)
+
+
+def _may_share(one: ToolBinding, two: ToolBinding) -> bool:
+    """True when two ways to one effect are one kind of action, or two commands of one receiver."""
+    if (one.type, one.tool) == (two.type, two.tool):
+        return True
+    return not (one.effect or two.effect) and _apart(one, two, beside=(*_MOVED, *_FORMS))
 
 
 def _words(arguments: dict[str, Argument]) -> Iterator[str]:
@@ -210,12 +257,18 @@ def _words(arguments: dict[str, Argument]) -> Iterator[str]:
         yield from (name, *argument.also, *_words(argument.each))
 
 
-def _apart(one: ToolBinding, two: ToolBinding) -> bool:
-    """True when no call can be both: they hold one argument to different constants."""
+def _apart(one: ToolBinding, two: ToolBinding, *, beside: tuple[str, ...] = ()) -> bool:
+    """True when no call can be both: they hold one argument to different constants.
+
+    Args:
+        one: a way.
+        two: another.
+        beside: the arguments that do not count.
+    """
     return any(
         not same(constant, two.when[path])
         for path, constant in one.when.items()
-        if path in two.when
+        if path in two.when and path not in beside
     )
 
 
@@ -230,6 +283,7 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
         for place, fault in _argument_faults(argument):
             yield f"arguments.{name}.{place}", fault
     yield from _settled_faults(tool, kind, site)
+    yield from _controller_faults(tool, site)
     yield from _origin_faults(tool, kind)
 
 
@@ -355,6 +409,19 @@ def _settled_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterato
         parameter = kind.params.get(ParameterId(target.removeprefix("params.")))
         if target not in tool.fixed or parameter is None or parameter.monitored_by is None:
             yield f"monitored.{target}", "expected a fixed parameter that attested state shows"
+
+
+def _controller_faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
+    """What a controller settles hangs on the digest of its configuration in a signed profile."""
+    if tool.controller is None:
+        return
+    if not tool.fixed:
+        yield "controller", "expected values under `fixed` that it settles"
+    for rid, robot in site.robots.items():
+        able = tool.tool in robot.profile.tools.get(tool.type, ())
+        if able and tool.controller not in robot.profile.controllers:
+            message = f"expected a controller in the profile of `{rid}`, got `{tool.controller}`"
+            yield "controller", message
 
 
 def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> bool:

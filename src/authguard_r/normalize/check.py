@@ -4,6 +4,7 @@
 (a) every field is mapped, fixed, refused or noted; (b) every privileged field has an origin that
 the executor is held to; (c) whatever is changed in a valid call changes the scope's digest, or is
 refused, or changes nothing that is dispatched; (d) ways to one effect meet in one action.
+What could not be shown is a fault, or the report says so.
 Spec page: docs/spec/binding.md#checking
 """
 
@@ -31,7 +32,7 @@ from authguard_r.normalize.binding import (
     ways,
 )
 from authguard_r.normalize.dialects import Call
-from authguard_r.normalize.interface import Surface, interface_faults
+from authguard_r.normalize.interface import Surface, interface_faults, uncompared
 from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.normalize.samples import Sampler
 from authguard_r.site.check import Fault
@@ -41,6 +42,10 @@ from authguard_r.site.model import Site
 _STRANGE: tuple[Any, ...] = ("", "elsewhere", 0, -1, 10**9, True, False, [], {}, ["x"], {"x": 1})
 #: A name that no interface has.
 _FOREIGN = "no_such_field"
+_UNPROVEN = (
+    "expected a site with something that a call of it can name: check it without `--site`, or with "
+    "a site that has a region, a position or an object for it"
+)
 
 
 class BindingReport(Struct, frozen=True, kw_only=True):
@@ -51,8 +56,13 @@ class BindingReport(Struct, frozen=True, kw_only=True):
         tools: how many external tools it binds.
         ways: how many ways these have.
         fields: how many fields are mapped, fixed, refused and noted.
-        unmapped: fields and tools of the interface that it does not bind.
+        interface: how many tools and messages of the interface it was compared with; None: with
+            none, so nothing shows that every field is bound.
+        unmapped: fields and tools of the interface that it does not bind; None: not compared.
+        uncompared: the ways of which that interface says nothing, but for those that are always
+            refused; None: not compared.
         groups: each effect that several ways share, with their places.
+        unproven: the ways of which the site has no example; each is a fault.
         faults: everything to mend, with its place; none when the binding holds.
     """
 
@@ -60,8 +70,11 @@ class BindingReport(Struct, frozen=True, kw_only=True):
     tools: int
     ways: int
     fields: dict[str, int]
-    unmapped: tuple[str, ...]
+    interface: int | None
+    unmapped: tuple[str, ...] | None
+    uncompared: tuple[str, ...] | None
     groups: dict[str, tuple[str, ...]]
+    unproven: tuple[str, ...]
     faults: tuple[Fault, ...]
 
 
@@ -81,34 +94,50 @@ def check_binding(
         found.append(Fault(where, message))
         if missing:
             unmapped.append(f"{where}: {message}")
+    unproven: tuple[str, ...] = ()
     if not found:
-        found += _Mutations(binding, site).faults()
+        mutations = _Mutations(binding, site)
+        unproven = mutations.unproven()
+        found += (Fault(place, _UNPROVEN) for place in unproven)
+        found += mutations.faults()
     return BindingReport(
         binding=binding.id,
         tools=len(binding.tools),
         ways=len(ways(binding)),
         fields=_counts(binding),
-        unmapped=tuple(unmapped),
+        interface=len(interface) or None,
+        unmapped=tuple(unmapped) if interface else None,
+        uncompared=tuple(_uncompared(binding, site, interface)) if interface else None,
         groups=_groups(binding, site),
+        unproven=unproven,
         faults=tuple(found),
     )
+
+
+def _uncompared(binding: Binding, site: Site, interface: tuple[Surface, ...]) -> Iterator[str]:
+    for way in uncompared(binding, interface):
+        kind = site.vocabulary.get(way.tool.type)
+        if kind is None or not kind.state_writing:
+            yield way.place
 
 
 class _Mutations:
     """Holds every way of a sound binding to part (c), by one sample call and all its changes."""
 
     def __init__(self, binding: Binding, site: Site) -> None:
-        self._ways = ways(binding)
         self._kinds = site.vocabulary
         self._binder = Binder(site, binding)
         self._rebuilder = Rebuilder(site, binding)
         self._sampler = Sampler(site)
+        self._samples = tuple((way, self._sampler.call(way)) for way in ways(binding))
+
+    def unproven(self) -> tuple[str, ...]:
+        """Return the ways of which there is no sample, so of which nothing is shown."""
+        return tuple(way.place for way, call in self._samples if call is None)
 
     def faults(self) -> Iterator[Fault]:
-        for way in self._ways:
-            call = self._sampler.call(way)
-            if call is None:  # the site has nothing that a call of this way could name
-                continue
+        """Yield each change of a sample that is neither refused nor dispatched as it is judged."""
+        for way, call in ((way, call) for way, call in self._samples if call is not None):
             try:
                 yield from self._way_faults(way, call)
             except MalformedError as error:

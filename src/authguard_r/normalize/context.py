@@ -9,7 +9,6 @@ Source: section "Provenance Labels", `tab:provenance`. Spec page: docs/spec/prov
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -20,36 +19,30 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.provenance import TRUST, Label, least_trusted
+from authguard_r.core.provenance import Label, least_trusted
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.mentions import How, Names, Opening
 from authguard_r.normalize.numerals import read_tokens
+from authguard_r.site.channels import CHANNELS, channel_labels
 
-#: Text is not a signature: even the operator's own chat is no more than the model's.
-CHANNELS: dict[str, Label] = {
-    "operator": Label.MODEL,
-    "supervisor": Label.MODEL,
-    "estimator": Label.MODEL,
-    "user": Label.MODEL,
-    "chat": Label.MODEL,
-    "tool": Label.MODEL,
-    "model": Label.MODEL,
-    "memory": Label.MEMORY,
-    "retrieval": Label.RETRIEVAL,
-    "document": Label.RETRIEVAL,
-    "web": Label.RETRIEVAL,
-    "audio": Label.AUDIO,
-    "speech": Label.AUDIO,
-    "camera": Label.CAMERA,
-    "ocr": Label.CAMERA,
-}
+__all__ = [
+    "CHANNELS",
+    "KEPT",
+    "MAX_INPUT",
+    "WINDOW",
+    "ContextLedger",
+    "Influence",
+    "channel_labels",
+]
+
 #: Inputs, whatever their channel, that a name may be split over beside each channel's own last one.
 WINDOW = 4
 #: Inputs of one channel kept for one value: the first half and the last half of them.
 KEPT = 8
+#: Most bytes (UTF-8) of one input that is looked through; 0.6 s for the worst of them.
+MAX_INPUT = 128 * 1024
 #: Characters on either side of the border between two inputs that a split name may take up.
 _SPAN = 64
-_CHANNEL = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 class Influence(Struct, frozen=True, kw_only=True):
@@ -61,7 +54,8 @@ class Influence(Struct, frozen=True, kw_only=True):
         channel: where the input came from.
         label: its label.
         evidence: digest of the input's text.
-        how: how near the mention is to the site's spelling; `split` when it takes more inputs.
+        how: how near the mention is to the site's spelling; `split` when it takes more inputs,
+            `unread` when the input was too long to be looked through and may have mentioned it.
     """
 
     field: str
@@ -106,35 +100,6 @@ class _Tail(Struct, frozen=True):
 _NOTHING = _Tail()
 
 
-def channel_labels(added: Mapping[str, str]) -> dict[str, Label]:
-    """Return the label of every channel: the shipped table with a site's own channels.
-
-    Args:
-        added: label by channel name, as the site's people wrote it down. A shipped channel may be
-            trusted less than the table has it (a `tool` that reads the web is `retrieval`).
-
-    Raises:
-        MalformedError: a name that is no channel name, an unknown label, or a label that is more
-            than unsigned text can have: no text is an operator's, a supervisor's or a sensor's.
-    """
-    labels = dict(CHANNELS)
-    for channel, word in added.items():
-        where = f"channels.{ascii(channel)[1:-1][:40]}"
-        if _CHANNEL.fullmatch(channel) is None:
-            raise MalformedError("expected a name of a-z, 0-9 and `_`", where=where)
-        most = CHANNELS.get(channel, Label.MODEL)
-        allowed = TRUST[TRUST.index(most) :]
-        if word not in allowed:
-            expected = ", ".join(allowed)
-            raise MalformedError(
-                f"expected {expected}, got `{ascii(word)[1:-1][:40]}`",
-                where=where,
-                reason=Reason.VALUE_INVALID,
-            )
-        labels[channel] = Label(word)
-    return labels
-
-
 class ContextLedger:
     """Every input that reached the planner during one mission.
 
@@ -156,6 +121,7 @@ class ContextLedger:
         self._names: Names | None = None
         self._base = Label.MODEL
         self._named: dict[str, tuple[_Named, ...]] = {}
+        self._unread: tuple[_Named, ...] = ()
         self._answers: dict[tuple[str, str], tuple[Influence, ...]] = {}
         self._recent: deque[_Tail] = deque(maxlen=WINDOW)
         self._last: dict[str, _Tail] = {}
@@ -164,7 +130,11 @@ class ContextLedger:
         """Note one input; call it before the planner sees the text.
 
         Raises:
-            MalformedError: a channel that nobody gave a label.
+            MalformedError: a channel that nobody gave a label, nothing is noted; or a text of
+                more than `MAX_INPUT` bytes (`INPUT_TOO_LARGE`). That one is not looked through,
+                but its label counts and `influences` names it as `unread` for every value, so
+                that a caller who goes on all the same has lowered the base. A long text can be
+                added in parts instead: names over their borders are found.
         """
         label = self._labels.get(channel)
         if label is None:
@@ -174,10 +144,17 @@ class ContextLedger:
             )
         self._base = least_trusted(frozenset({self._base, label}))
         self._answers.clear()
+        data = text.encode("utf-8", "surrogatepass")
+        noted = _Input(channel, label, digest(Tag.RAW, data))
+        if len(data) > MAX_INPUT:
+            self._unread = _kept(self._unread, _Named(noted, How.UNREAD))
+            raise MalformedError(
+                f"expected a text of at most {MAX_INPUT} bytes, got {len(data)}",
+                where="context.text",
+                reason=Reason.INPUT_TOO_LARGE,
+            )
         if self._names is None:  # most missions never hear a word: made when there is one
             self._names = Names(self._spellings)
-        evidence = digest(Tag.RAW, text.encode("utf-8", "surrogatepass"))
-        noted = _Input(channel, label, evidence)
         for mention in self._names.find(text):
             self._note(mention.ids, noted, mention.how)
         self._look_across(self._names, noted, text)
@@ -187,7 +164,7 @@ class ContextLedger:
         return self._base
 
     def influences(self, action: Action) -> tuple[Influence, ...]:
-        """Return the inputs that mentioned a value of the action, field by field."""
+        """Return the inputs that mentioned a value of the action, or may have, field by field."""
         carried: list[tuple[str, Any]] = [
             ("object", action.object),
             ("source", action.source),
@@ -197,7 +174,7 @@ class ContextLedger:
         return tuple(
             influence
             for field, value in carried
-            if value in self._named
+            if value in self._named or (value is not None and self._unread)
             for influence in self._influences(field, value)
         )
 
@@ -214,21 +191,14 @@ class ContextLedger:
                     evidence=named.source.evidence,
                     how=named.how,
                 )
-                for named in self._named[value]
+                for named in (*self._named.get(value, ()), *self._unread)
             )
         return known
 
     def _note(self, ids: tuple[str, ...], source: _Input, how: How) -> None:
         """Keep that an input named these; a flood of others does not push the first ones out."""
         for item in ids:
-            named = self._named.get(item, ())
-            if any(known.source == source for known in named):
-                continue
-            mine = [known for known in named if known.source.channel == source.channel]
-            kept = named
-            if len(mine) >= KEPT:
-                kept = tuple(known for known in named if known is not mine[KEPT // 2])
-            self._named[item] = (*kept, _Named(source, how))
+            self._named[item] = _kept(self._named.get(item, ()), _Named(source, how))
 
     def _look_across(self, names: Names, source: _Input, text: str) -> None:
         """Note names that begin in an earlier input and end in this one; keep this one's end."""
@@ -250,6 +220,15 @@ class ContextLedger:
         self._last[source.channel] = (
             self._recent[-1] if own == chain else _extended(names, own, source, text)
         )
+
+
+def _kept(named: tuple[_Named, ...], new: _Named) -> tuple[_Named, ...]:
+    """Return the inputs to keep after one more: of each channel the first ones and the last."""
+    if any(known.source == new.source for known in named):
+        return named
+    mine = [known for known in named if known.source.channel == new.source.channel]
+    left = [known for known in named if len(mine) < KEPT or known is not mine[KEPT // 2]]
+    return (*left, new)
 
 
 def _head(text: str) -> str:

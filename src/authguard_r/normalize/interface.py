@@ -2,8 +2,8 @@
 """What a planner's interface says of itself: tools and messages with every leaf field.
 
 Read from an MCP `tools/list`, an OpenAI tools array or its lines (BFCL), a list of signatures
-(ROSA) or a ROS definition. Only names are taken from it: a server's word that a tool is harmless
-decides nothing (L1). Spec page: docs/spec/binding.md#interfaces
+(ROSA), a ROS definition or a list of names. Only names are taken from it: a server's word that a
+tool is harmless decides nothing (L1). Spec page: docs/spec/binding.md#interfaces
 """
 
 from __future__ import annotations
@@ -21,13 +21,17 @@ from authguard_r.normalize.binding import (
     Binding,
     ToolBinding,
     Use,
+    Way,
     is_index,
     ways,
 )
 from authguard_r.normalize.parse import read_json
+from authguard_r.site.strict import convert
 
 #: Stands for the items of a list within a path: `poses.[].header.frame_id`.
 ITEM = "[]"
+#: Ends a listed field whose inside the interface does not say.
+_OPEN = ".*"
 _ROS = {".action", ".srv", ".msg"}
 _ROS_FIELD = re.compile(
     r"(?P<type>[A-Za-z0-9_/]+)(?P<list>\[[^\]]*\])?\s+(?P<name>[a-z][a-z0-9_]*)"
@@ -85,6 +89,13 @@ class Surface(Struct, frozen=True):
     open: frozenset[str]
 
 
+class _Listing(Struct, frozen=True, forbid_unknown_fields=True):
+    """The short form of an interface: the fields of each tool and each message."""
+
+    tools: dict[str, str] = {}
+    messages: dict[str, str] = {}
+
+
 def read_interface(text: str, *, name: str) -> tuple[Surface, ...]:
     """Return what a definition says, in its order.
 
@@ -105,6 +116,29 @@ def read_interface(text: str, *, name: str) -> tuple[Surface, ...]:
     return tuple(_surface(tool, fields, message=False) for tool, fields in merged.items())
 
 
+def listed_interface(data: Any, *, where: str) -> tuple[Surface, ...]:
+    """Return an interface that is listed in short: its tools and messages, each with its fields.
+
+    Args:
+        data: `{tools: {NAME: FIELDS}, messages: {NAME: FIELDS}}`, both optional; FIELDS are paths
+            with spaces between. A `.*` behind one: what is below it the interface does not say.
+        where: the place, for messages.
+
+    Raises:
+        MalformedError: no such list.
+    """
+    listing = convert(data, _Listing, where=where)
+    return tuple(
+        _surface(
+            name,
+            {field.removesuffix(_OPEN): field.endswith(_OPEN) for field in words.split()},
+            message=message,
+        )
+        for message, group in ((False, listing.tools), (True, listing.messages))
+        for name, words in group.items()
+    )
+
+
 def interface_faults(
     binding: Binding, surfaces: tuple[Surface, ...]
 ) -> Iterator[tuple[str, str, bool]]:
@@ -122,12 +156,19 @@ def interface_faults(
             for leaf in surface.leaves:
                 if not _covers(fields, leaf, is_open=leaf in surface.open):
                     yield f"{way.place}.arguments", f"expected the field `{leaf}`", True
-            for field in fields:
-                if not _exists(field, surface):
-                    yield f"{way.place}.arguments.{field}", "expected a field that exists", False
+            for names in fields:
+                if not any(_exists(name, surface) for name in names):
+                    yield f"{way.place}.arguments.{names[0]}", "expected a field that exists", False
     for name in binding.tools if tools else ():
         if name not in tools:
             yield f"tools.{name}", "expected a tool that exists", False
+
+
+def uncompared(binding: Binding, surfaces: tuple[Surface, ...]) -> Iterator[Way]:
+    """Yield the ways of which the interface says nothing: neither their tool nor their message."""
+    for way in ways(binding):
+        if not any(_is_of(way.name, way.tool, surface) for surface in surfaces):
+            yield way
 
 
 def _is_of(name: str, tool: ToolBinding, surface: Surface) -> bool:
@@ -136,17 +177,17 @@ def _is_of(name: str, tool: ToolBinding, surface: Surface) -> bool:
     return name == surface.name
 
 
-def _bound_fields(tool: ToolBinding, surface: Surface) -> dict[str, bool]:
-    """Return each bound path, and whether whatever is below it is bound with it."""
-    bound = dict(_paths(tool.arguments)) | dict.fromkeys(tool.when, False)
-    found = {_uncounted(path): whole for path, whole in bound.items()}
+def _bound_fields(tool: ToolBinding, surface: Surface) -> dict[tuple[str, ...], bool]:
+    """Return the names of each bound path, and whether whatever is below it is bound with it."""
+    bound = dict(_paths(tool.arguments)) | {(path,): False for path in tool.when}
+    found = {tuple(map(_uncounted, names)): whole for names, whole in bound.items()}
     if not surface.message or not tool.body:
         return found
     below = f"{tool.body}."
     return {
-        f"{path}.".removeprefix(below).removesuffix("."): whole
-        for path, whole in found.items()
-        if f"{path}.".startswith(below)
+        (f"{names[0]}.".removeprefix(below).removesuffix("."),): whole
+        for names, whole in found.items()
+        if f"{names[0]}.".startswith(below)
     }
 
 
@@ -156,20 +197,20 @@ def _uncounted(path: str) -> str:
     return ".".join([first, *(ITEM if is_index(name) else name for name in rest)])
 
 
-def _paths(arguments: dict[str, Argument]) -> Iterator[tuple[str, bool]]:
+def _paths(arguments: dict[str, Argument]) -> Iterator[tuple[tuple[str, ...], bool]]:
     for path, argument in arguments.items():
-        for below, whole in _paths(argument.each):
-            yield f"{path}.{ITEM}.{below}", whole
+        for (below, *_), whole in _paths(argument.each):
+            yield (f"{path}.{ITEM}.{below}",), whole
         if not argument.each:
-            yield path, argument.use in {Use.REFUSED, Use.NOTED}
+            yield (path, *argument.also), argument.use in {Use.REFUSED, Use.NOTED}
 
 
-def _covers(fields: dict[str, bool], leaf: str, *, is_open: bool) -> bool:
-    if leaf in fields:
-        return True
-    if is_open and any(field.startswith(f"{leaf}.") for field in fields):
-        return True
-    return any(whole and _within(leaf, field) for field, whole in fields.items())
+def _covers(fields: dict[tuple[str, ...], bool], leaf: str, *, is_open: bool) -> bool:
+    return any(
+        name == leaf or (is_open and _within(name, leaf)) or (whole and _within(leaf, name))
+        for names, whole in fields.items()
+        for name in names
+    )
 
 
 def _exists(field: str, surface: Surface) -> bool:

@@ -35,12 +35,16 @@ _LISTING = frozenset({"and", "or", "to", "through", "till", "until"})
 
 
 class How(StrEnum):
-    """How near a mention is to the name: people read the nearer ones first."""
+    """How near a mention is to the name: people read the nearer ones first.
+
+    `unread` is no mention: the input was too long to be looked through.
+    """
 
     EXACT = "exact"
     VARIANT = "variant"
     NUMBER = "number"
     SPLIT = "split"
+    UNREAD = "unread"
 
 
 class Mention(Struct, frozen=True, kw_only=True):

@@ -41,7 +41,8 @@ def scale(
     if isinstance(value, bool) or not isinstance(value, int | Decimal):
         raise _refusal(Reason.VALUE_INVALID, "expected a number", where)
     top, bottom = value.as_integer_ratio()
-    top, bottom = top * per_unit.numerator, bottom * per_unit.denominator
+    more, less = per_unit.as_integer_ratio()
+    top, bottom = top * more, bottom * less
     whole, left = divmod(top + offset * bottom, bottom)
     if left:
         whole = _rounded(Fraction(top, bottom) + offset, parameter.rounding, where)

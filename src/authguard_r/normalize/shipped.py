@@ -2,6 +2,7 @@
 """The bindings that come with the package, by name.
 
 Each speaks the standard vocabulary (`words: standard`) and fits any site that has its words.
+Beside each stand the names of its interface's tools and fields, with which the check compares it.
 Reference page: docs/reference/bindings.md
 """
 
@@ -11,9 +12,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from authguard_r.normalize.interface import Surface, listed_interface
 from authguard_r.site.source import read_text, read_yaml
 
 _FOLDER = "bindings"
+_INTERFACES = "interfaces"
 _SUFFIX = ".yaml"
 
 
@@ -35,6 +38,22 @@ def binding_source(name: str) -> Any:
         MalformedError: no strict YAML.
     """
     if name in shipped_names():
-        item = files("authguard_r.normalize").joinpath(_FOLDER, name + _SUFFIX)
-        return read_yaml(item.read_text(encoding="utf-8"), where=name)
+        return _shipped(name, _FOLDER)
     return read_yaml(read_text(Path(name)), where=name)
+
+
+def shipped_interface(name: str) -> tuple[Surface, ...] | None:
+    """Return the tools and fields that a shipped binding is for; None when none is called so.
+
+    Args:
+        name: compared exactly.
+    """
+    if name not in shipped_names():
+        return None
+    where = f"{name} interface"
+    return listed_interface(_shipped(name, _FOLDER, _INTERFACES), where=where)
+
+
+def _shipped(name: str, *folders: str) -> Any:
+    item = files("authguard_r.normalize").joinpath(*folders, name + _SUFFIX)
+    return read_yaml(item.read_text(encoding="utf-8"), where=name)

@@ -15,6 +15,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from authguard_r.core.provenance import TRUST, Label
+from authguard_r.site.channels import CHANNELS
 from authguard_r.site.model import Site
 from authguard_r.site.names import named, shown
 
@@ -70,6 +72,7 @@ def changes(old: Site, new: Site) -> tuple[Change, ...]:
     found += _doors(before["doors"], after["doors"])
     places = [site.emergency.places if site.emergency is not None else {} for site in (old, new)]
     found += _differences(("emergency", "places"), *places)
+    found += _channels(before["channels"], after["channels"])
     for part in ("baseline", "id", "version"):
         found += _differences((part,), before[part], after[part])
     order = list(Effect)
@@ -110,6 +113,21 @@ def _doors(old: list[Any], new: list[Any]) -> Iterator[Change]:
     for door in old:
         if door not in new:
             yield _change(Effect.REMOVES, ("doors",), door, None)
+
+
+def _channels(old: dict[str, str], new: dict[str, str]) -> Iterator[Change]:
+    """Yield the channels that are new, gone, or trusted more or less than before."""
+    for channel in sorted({*old, *new}):
+        written = (old.get(channel), new.get(channel))
+        if written[0] == written[1]:
+            continue
+        was, now = (word or CHANNELS.get(channel) for word in written)
+        if was is None or now is None or was == now:
+            effect = Effect.ADDS if written[0] is None else Effect.REMOVES
+        else:
+            less = TRUST.index(Label(now)) > TRUST.index(Label(was))
+            effect = Effect.NARROWS if less else Effect.WIDENS
+        yield _change(effect, ("channels", channel), *written)
 
 
 def _differences(path: tuple[str, ...], old: Any, new: Any) -> Iterator[Change]:

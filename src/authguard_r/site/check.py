@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
+from authguard_r.site.channels import channel_faults
 from authguard_r.site.model import ActionModel, Site
 from authguard_r.site.names import name_faults, shown, twin_faults
 from authguard_r.site.places import door_faults, hierarchy_faults, overlap_faults, region_faults
@@ -42,6 +43,7 @@ def faults(site: Site) -> tuple[Fault, ...]:
         _people,
         _emergency,
         _baseline,
+        channel_faults,
     )
     return tuple(Fault(where, message) for part in parts for where, message in part(site))
 

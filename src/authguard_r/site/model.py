@@ -37,6 +37,7 @@ from authguard_r.core.identifiers import (
     ToolId,
     VariableId,
 )
+from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
 
 Point = tuple[Integer, Integer]
@@ -222,6 +223,8 @@ class Site(_Model, frozen=True, kw_only=True):
         emergency: where a robot may be sent in an emergency.
         baseline: sorted set of types that only read names, types and versions; the site authority
             signs that they are harmless. They have no field, no parameter and no flag.
+        channels: the site's own ways on which text reaches a planner, each with its label; a
+            shipped one (`site.channels.CHANNELS`) to trust it less. None is more than `model`.
     """
 
     schema: Literal["authguard-r/site/1"]
@@ -235,6 +238,7 @@ class Site(_Model, frozen=True, kw_only=True):
     people: dict[PrincipalId, Person] = {}
     emergency: Emergency | None = None
     baseline: tuple[ActionType, ...] = ()
+    channels: dict[Identifier, Label] = {}
 
 
 def site_digest(site: Site) -> Digest:

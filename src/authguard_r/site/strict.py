@@ -2,7 +2,9 @@
 """Strict YAML: what people write is what is meant, or it is refused with its place.
 
 Safe loading only: no tags, no aliases, no duplicate keys, no floats where integers belong; a word
-that only looks like a truth value or a date stays a word. How-to: docs/howto/site.md
+that only looks like a truth value or a date stays a word. libyaml cuts the text up, always: two
+parsers would be two readings of one file, and the other one takes seconds for a hostile megabyte.
+How-to: docs/howto/site.md
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from typing import Any, TypeVar
 
 import msgspec
 import yaml
+from yaml.composer import Composer
 
 from authguard_r.core.encoding import MAX_BYTES
 from authguard_r.core.errors import EnvironmentFault, MalformedError
@@ -20,24 +23,35 @@ from authguard_r.core.reasons import Reason
 
 T = TypeVar("T")
 
+#: Most keys and values of one text, so that a megabyte of `[],` is no burden.
+MAX_NODES = 100_000
 
-class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader that refuses duplicate keys, aliases, and words that only look like values."""
+
+class _TooLargeError(yaml.YAMLError):
+    """The text has more keys and values than one may have."""
+
+
+class _StrictLoader(Composer, yaml.CSafeLoader):
+    """Refuses duplicate keys, aliases, tags, and words that only look like values.
+
+    The composer comes before the parser's own, which asks nobody about a node.
+    """
+
+    def __init__(self, stream: str) -> None:
+        yaml.CSafeLoader.__init__(self, stream)
+        Composer.__init__(self)
+        self._nodes = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
+        self._nodes += 1
+        if self._nodes > MAX_NODES:
+            raise _TooLargeError
+        event: Any = self.peek_event()
+        if isinstance(event, yaml.events.AliasEvent):
             raise yaml.YAMLError(f"aliases are not allowed{event.start_mark}")
-        tagged = self.peek_event()  # type: ignore[no-untyped-call]
-        if getattr(tagged, "tag", None) is not None:
-            raise yaml.YAMLError(f"tags are not allowed{tagged.start_mark}")
+        if getattr(event, "tag", None) is not None:
+            raise yaml.YAMLError(f"tags are not allowed{event.start_mark}")
         return super().compose_node(parent, index)
-
-    def construct_scalar(self, node: Any) -> Any:
-        value = super().construct_scalar(node)
-        if any("\ud800" <= char <= "\udfff" for char in value):
-            raise yaml.YAMLError(f"half a character is not allowed{node.start_mark}")
-        return value
 
     def construct_mapping(self, node: Any, deep: bool = True) -> dict[Any, Any]:  # noqa: FBT001, FBT002
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -67,7 +81,7 @@ def read_text(path: Path) -> str:
 
     Raises:
         EnvironmentFault: it cannot be read.
-        MalformedError: it is too long or not UTF-8.
+        MalformedError: it is too long (`INPUT_TOO_LARGE`) or not UTF-8.
     """
     try:
         data = path.read_bytes()
@@ -84,10 +98,10 @@ def as_text(data: bytes, *, where: str) -> str:
     """Return a file's bytes as text.
 
     Raises:
-        MalformedError: too long or not UTF-8.
+        MalformedError: too long (`INPUT_TOO_LARGE`) or not UTF-8.
     """
     if len(data) > MAX_BYTES:
-        raise MalformedError(f"expected at most {MAX_BYTES} bytes", where=where)
+        raise _too_large(f"expected at most {MAX_BYTES} bytes, got {len(data)}", where)
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -97,14 +111,27 @@ def as_text(data: bytes, *, where: str) -> str:
 def read_yaml(text: str, *, where: str) -> object:
     """Return the plain data in strict YAML.
 
+    Args:
+        text: from anybody; what it costs is bounded by its length and its number of values.
+        where: the file's name, for places in messages.
+
     Raises:
-        MalformedError: with the place that the parser names.
+        MalformedError: with the place that the parser names; longer than `MAX_BYTES` or more
+            than `MAX_NODES` keys and values (`INPUT_TOO_LARGE`).
     """
+    if len(text) > MAX_BYTES:
+        raise _too_large(f"expected at most {MAX_BYTES} characters, got {len(text)}", where)
     try:
-        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - a SafeLoader
+        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - safe
+    except _TooLargeError as error:
+        raise _too_large(f"expected at most {MAX_NODES} keys and values", where) from error
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         message = " ".join(str(error).split())
         raise MalformedError(message, where=where) from error
+
+
+def _too_large(message: str, where: str) -> MalformedError:
+    return MalformedError(message, where=where, reason=Reason.INPUT_TOO_LARGE)
 
 
 def convert(data: object, kind: type[T], *, where: str) -> T:

@@ -17,9 +17,10 @@ import worlds
 from authguard_r.compile import spoken
 from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.difference import compare
+from authguard_r.compile.difference import compare, is_next
 from authguard_r.compile.lint import lint
 from authguard_r.compile.units import to_integer
+from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
 from authguard_r.site.source import convert
@@ -167,11 +168,38 @@ def test_the_card_reads_in_human_units() -> None:
         assert text in card, text
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_what_can_hurt_is_marked_with_its_degree(degree: int) -> None:
+    site = worlds.site()
+    drive = SET(site.vocabulary["navigate"], physical=degree)
+    site = SET(site, vocabulary={**site.vocabulary, "navigate": drive})
+    card = "\n".join(review(rich(), site))
+    assert f"up to 3 min each  [PHYSICAL {degree}, MOTION]" in card
+    assert card.count("PHYSICAL") == card.count("MOTION")
+
+
+def test_only_the_version_after_that_names_the_digest_is_the_next_one() -> None:
+    old = worlds.mission()
+    new = SET(old, version=2, supersedes=digest_of(Tag.MISSION, old))
+    assert is_next(old, new)
+    for wrong in (
+        SET(new, mid="another"),
+        SET(new, version=3),
+        SET(new, version=1),
+        SET(new, supersedes="A" * 43),
+        SET(new, supersedes=None),
+    ):
+        assert not is_next(old, wrong)
+    assert not is_next(new, old)
+    assert not is_next(old, old)
+
+
 def test_risks_are_marked_and_what_is_withheld_is_said() -> None:
     card = "\n".join(review(rich(), worlds.site()))
     assert "up to 40 s each  [PRIVACY, IRREVERSIBLE]" in card
     assert "up to 20 s each  [FORCE]" in card
     assert "up to 3 min each  [MOTION]" in card
+    assert "PHYSICAL" not in card
     assert "asks 2 further person(s) at its riskiest (121)" in card
     assert "It does NOT grant: announce, set_pose, take_photo, wait" in card
     assert "It never enters: isolation-room, office-1" in card

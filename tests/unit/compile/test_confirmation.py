@@ -20,7 +20,7 @@ from authguard_r.compile.confirmation import (
     read_confirmation,
 )
 from authguard_r.compile.findings import Code
-from authguard_r.core.encoding import Tag, digest_of, encode
+from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
 
 SET = msgspec.structs.replace
@@ -50,6 +50,7 @@ def test_a_confirmation_says_what_was_asked_shown_accepted_by_whom_and_when() ->
         "by": "operator-1",
         "at_ms": worlds.START_MS,
         "how": "interactive",
+        "shown": True,
         "card": card_digest(review(mission, worlds.site())),
         "accepted": ["BEYOND_PROFILE", "NEVER_ASKS"],
     }
@@ -64,9 +65,11 @@ def test_a_confirmation_says_what_was_asked_shown_accepted_by_whom_and_when() ->
         {"version": 2},
         {"request": "Carry everything everywhere."},
         {"by": "operator-2"},
+        {"shown": False},
+        {"card": None},
     ],
 )
-def test_the_confirmation_of_another_mission_is_refused(changes: dict[str, Any]) -> None:
+def test_a_confirmation_that_is_not_this_signing_s_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(RefusedError, match="META_MISMATCH"):
         read_confirmation(confirmation_bytes(confirmed(**changes)), mission=worlds.mission())
 
@@ -84,6 +87,8 @@ def test_the_confirmation_of_another_mission_is_refused(changes: dict[str, Any])
         encode({**msgspec.to_builtins(confirmed()), "how": "asleep"}),
         encode({**msgspec.to_builtins(confirmed()), "accepted": ["ANYTHING"]}),
         encode({**msgspec.to_builtins(confirmed()), "accepted": []}),
+        encode_fast({**msgspec.to_builtins(confirmed()), "card": None}),
+        encode({k: v for k, v in msgspec.to_builtins(confirmed()).items() if k != "shown"}),
         encode(confirmed(accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE))),
         encode(confirmed(accepted=(Code.NEVER_ASKS, Code.NEVER_ASKS))),
         json.dumps(msgspec.to_builtins(confirmed())).encode(),
@@ -110,10 +115,12 @@ def test_an_activation_seals_the_confirmation_beside_the_token() -> None:
     assert sealed["confirmation"] == json.loads(confirmation_bytes(confirmed()))
 
 
-def test_an_activation_without_one_seals_the_token_alone() -> None:
+def test_an_activation_without_one_says_so_in_the_record() -> None:
     sim = worlds.simulation()
     sim.gate.management.activate(worlds.token())
-    assert set(activation(sim)) == {"token"}
+    sealed = activation(sim)
+    assert set(sealed) == {"token", "confirmation"}
+    assert sealed["confirmation"] == "none"
 
 
 @pytest.mark.parametrize("data", [b"junk", confirmation_bytes(confirmed(mission="A" * 43))])

@@ -17,7 +17,15 @@ import pytest
 
 import worlds
 from authguard_r.compile.answers import apply, compile_plain
-from authguard_r.compile.lint import Code, Measures, Severity, errors, finding_lines, lint
+from authguard_r.compile.lint import (
+    Code,
+    Measures,
+    Severity,
+    errors,
+    finding_lines,
+    lint,
+    lint_alone,
+)
 from authguard_r.core.identifiers import RegionId
 from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
 from authguard_r.site.model import Site
@@ -131,6 +139,35 @@ def test_guards_that_contradict_each_other_are_seen(
     first = SET(mission.actions[0], guards=tuple(guard(*g) for g in guards))
     found = lint(SET(mission, actions=(first, *mission.actions[1:])), site)
     assert (Code.NEVER_MATCHES in errors(found)) is not can_hold
+
+
+PLACELESS = {
+    "02-going-home-at-any-time": {("UNGUARDED_RETURN", "actions[5].guards", "error")},
+    "04-waiting-at-any-time": {("UNGUARDED_RETURN", "actions[6].guards", "error")},
+    "05-waiting-at-a-closed-door": set(),
+    "27-waits-for-itself": {
+        ("NEVER_MATCHES", "actions[2].after", "error"),
+        ("NEVER_MATCHES", "actions[3].after", "error"),
+    },
+    "28-closed-before-it-opens": {("NEVER_MATCHES", "actions[2].until", "error")},
+    "33-battery-both-low-and-high": {("NEVER_MATCHES", "actions[5].guards", "error")},
+    "57-a-mission-that-is-the-way-home-at-any-time": set(),  # nobody knows where home is
+    "60-a-guard-that-every-battery-fulfils": {("UNGUARDED_RETURN", "actions[5].guards", "error")},
+}
+
+
+@pytest.mark.parametrize("name", PLACELESS)
+def test_some_errors_are_seen_without_the_site(name: str) -> None:
+    mission, _ = world(pair(name))
+    found = {(str(f.code), f.where, str(f.severity)) for f in lint_alone(mission)}
+    assert found == PLACELESS[name]
+
+
+def test_without_the_site_no_error_is_seen_that_is_not_one_with_it() -> None:
+    for name in PAIRS:
+        mission, site = world(pair(name))
+        if Code.SITE_DIFFERS not in (known := errors(lint(mission, site))):
+            assert set(errors(lint_alone(mission))) <= set(known), name
 
 
 def test_what_the_site_does_not_know_is_said_and_nothing_breaks() -> None:

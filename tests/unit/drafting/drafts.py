@@ -43,15 +43,28 @@ def fields(proposal: Proposal) -> dict[str, tuple[str, ...]]:
     return {question.field: question.candidates for question in proposal.questions}
 
 
+def asked_about(proposal: Proposal, words: str) -> list[str]:
+    """Return the fields whose question quotes these words as not understood."""
+    return [
+        question.field
+        for question in proposal.questions
+        if any(words in quoted.split() or words == quoted for quoted in _quoted(question.question))
+    ]
+
+
+def _quoted(text: str) -> list[str]:
+    return text.split('"')[1::2]
+
+
 def compiled(proposal: Proposal, site: Site | None = None) -> Mission:
     """Return the mission that a proposal without questions compiles to."""
     assert proposal.questions == ()
     return compile_plain(proposal.draft, site or worlds.site(), now=Now(NOW_MS, 0), nonce="A" * 22)
 
 
-def mission(sentence: str, **settled: Any) -> Mission:
+def mission(sentence: str, *, site: Site | None = None, **settled: Any) -> Mission:
     """Return the mission that a sentence means."""
-    return compiled(propose(sentence, **settled))
+    return compiled(propose(sentence, site=site, **settled), site)
 
 
 def shape(grants: tuple[Grant, ...]) -> list[tuple[str, str | None, str | None]]:

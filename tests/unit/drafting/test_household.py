@@ -10,7 +10,7 @@ import pytest
 
 import household
 from authguard_r.core.mission import Grant, Mission
-from unit.drafting.drafts import compiled, fields, propose
+from unit.drafting.drafts import asked_about, compiled, fields, propose
 
 ROOT = Path(__file__).resolve().parents[3]
 EXTERNAL = ROOT.parent / "shared" / "external"
@@ -103,9 +103,9 @@ def test_a_liquid_is_bound_by_its_number_and_an_unknown_one_is_asked_about() -> 
     (grant,) = [g for g in draft("Fill the mug with wine").actions if g.type == "fill"]
     assert [(b.parameter, b.low, b.high) for b in grant.limits] == [("liquid_no", 3, 3)]
     site = household.site("mug")
-    asked = fields(propose("Fill the mug with lava", site=site, robot=household.ROBOT))
-    assert "word.lava" in asked
-    assert "wine" in asked["liquid"]
+    made = propose("Fill the mug with lava", site=site, robot=household.ROBOT)
+    assert asked_about(made, "lava") == ["object"]
+    assert "wine" in fields(made)["liquid"]
 
 
 def test_what_was_opened_on_the_way_may_be_closed_after_the_mission() -> None:
@@ -113,6 +113,28 @@ def test_what_was_opened_on_the_way_may_be_closed_after_the_mission() -> None:
     assert made.closing is not None
     assert made.closing.grants == ("close-fridge",)
     assert [g.id for g in made.actions if g.completes] == ["put-in-fridge"]
+
+
+def test_what_is_to_stay_open_is_not_closed_again() -> None:
+    made = draft("Put the egg in the fridge with the door left open")
+    assert done(made) == [("pick", "egg"), ("open", "fridge"), ("put_in", "fridge")]
+    assert made.closing is None
+    site = household.site("egg sofa")
+    asked = propose("Put the egg on the sofa with the door open", site=site, robot=household.ROBOT)
+    assert asked_about(asked, "left open") == ["destination"]
+
+
+def test_leaving_a_thing_open_says_how_and_not_in_which_order() -> None:
+    made = draft("Turn on the faucet and leave the box open")
+    by_id = {grant.id: grant for grant in made.actions}
+    assert by_id["open-box"].after == ()
+    assert by_id["turn-on-faucet"].completes
+    assert made.closing is not None
+    assert made.closing.grants == ("open-box",)
+    closed = draft("Turn on the faucet, leave the box open and close the box")
+    assert [grant.type for grant in closed.actions if grant.completes] == ["close"]
+    alone = draft("Leave the box open")
+    assert [grant.completes for grant in alone.actions if grant.type == "open"] == [True]
 
 
 def test_it_means_the_one_thing_that_the_verb_can_apply_to() -> None:
@@ -159,11 +181,11 @@ ASKED = {
     "abstract_1009": [9, 12, 17, 20, 22],
     "long_horizon_1009": [0, 1, 2, 3, 4, 5, 6, 7, 8, 9],
     "safe_detailed_1009": [11, 12, 14, 22, 23, 32, 33, 41, 54, 71, 86, 91, 95, 99],
-    "unsafe_detailed_1009": [3, 4, 5, 7, 18, 19, 24, 27, 55],
+    "unsafe_detailed_1009": [3, 4, 7, 18, 19, 24, 27, 55],
 }
 #: Tasks whose plan does something that their sentence does not say, or in another order.
 APART = {
-    "abstract_1009": [1, 3, 21, 24],
+    "abstract_1009": [1, 21, 24],
     "safe_detailed_1009": [53, 73],
     "unsafe_detailed_1009": [6, 9, 11, 40],
 }

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import re
+import string
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -164,6 +166,43 @@ def test_a_word_more_is_a_question_more(sentence: str, word: str) -> None:
     for place in {0, len(said) // 2, len(said)}:
         made = propose(" ".join([*said[:place], word, *said[place:]]))
         assert made.draft == {}
+
+
+#: Sentences that give a draft, cut right behind a noun.
+BEHIND_NOUNS = [
+    ("Deliver package", "to station 101"),
+    ("Deliver package-p1 to the pharmacy", ""),
+    ("Bring the package from the pharmacy", "to dock, please"),
+    ("Pick up P1", "and put it in station 101"),
+    ("Pick up P1 and put it", "in station 101"),
+    ("Go to the pharmacy", "at 0.5 m/s"),
+    ("Guide the visitor", "to station 101"),
+    ("Patrol stations 101", ", 102 and 103"),
+    ("return to base", "when the battery is low"),
+    ("courier-1", "go to the dock, then to the pharmacy"),
+    ("Inspect the pharmacy", "without recording"),
+]
+LABELS = st.one_of(
+    st.sampled_from([*string.ascii_letters, "the", "The", "An", "your", "robot", "two", "\u00e9"]),
+    st.integers(0, 99_999).map(str),
+    st.text(string.ascii_lowercase, min_size=5, max_size=9).map(lambda text: f"zq{text}"),
+)
+
+
+@settings(max_examples=400, deadline=None)
+@given(cut=st.sampled_from(BEHIND_NOUNS), label=LABELS)
+def test_a_label_behind_a_noun_never_vanishes(cut: tuple[str, str], label: str) -> None:
+    """`package A` is another thing than `package`: a draft for both would be a guess."""
+    before, after = cut
+    site = msgspec.structs.replace(
+        worlds.site(),
+        objects={k: v for k, v in worlds.site().objects.items() if k == "package-p1"},
+    )
+    plain = propose(f"{before} {after}", site=site)
+    assert plain.draft, cut
+    made = propose(f"{before} {label} {after}", site=site)
+    if not made.questions:  # it made another name: `package` and `package 1`
+        assert made.draft["grants"] != plain.draft["grants"], (before, label, after)
 
 
 @settings(max_examples=100, deadline=None)

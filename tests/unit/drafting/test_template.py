@@ -12,8 +12,9 @@ import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, DataRights
 from authguard_r.drafting.proposal import clarification
-from authguard_r.site.model import Site
-from unit.drafting.drafts import GIVEN, compiled, fields, mission, propose, shape
+from authguard_r.site.model import ObjectModel, Site
+from authguard_r.site.words import standard_words
+from unit.drafting.drafts import GIVEN, asked_about, compiled, fields, mission, propose, shape
 
 DELIVERY = [
     ("navigate", None, "pharmacy"),
@@ -151,15 +152,16 @@ def test_a_return_without_a_condition_is_asked_about(sentence: str) -> None:
 def test_a_condition_between_two_clauses_belongs_to_the_second() -> None:
     made = mission("Go to station 101, when the battery is low, return to base")
     assert [bool(grant.guards) for grant in made.actions] == [False, True]
-    asked = fields(propose("Go to station 101, when the battery is low"))
-    assert asked["word.when the battery is low"] == ()
+    asked = propose("Go to station 101, when the battery is low")
+    assert fields(asked) == {"condition": ()}
+    assert asked_about(asked, "when the battery is low") == ["condition"]
 
 
 def test_rights_that_the_sentence_settles_are_not_asked_for() -> None:
     made = mission("Record the pharmacy for 30 s and store it, do not transmit it")
     assert made.actions[-1].data == DataRights(record=True, store=True)
-    asked = fields(propose("Record the pharmacy for 30 s and send it to office 1"))
-    assert "word.send" in asked
+    asked = propose("Record the pharmacy for 30 s and send it to office 1")
+    assert asked_about(asked, "send") == ["condition"]
 
 
 @pytest.mark.parametrize(
@@ -174,7 +176,9 @@ def test_rights_that_the_sentence_settles_are_not_asked_for() -> None:
     ],
 )
 def test_terms_that_contradict_each_other_are_asked_about(sentence: str) -> None:
-    assert any(field.startswith("word.") for field in fields(propose(sentence)))
+    asked = propose(sentence)
+    assert asked.draft == {}
+    assert any(" not understood" in q.question for q in asked.questions)
 
 
 def test_a_return_after_something_waits_for_it() -> None:
@@ -260,7 +264,7 @@ def test_a_window_that_was_said_in_full_is_taken(
 ) -> None:
     asked = propose(sentence, given={"issuer": "operator-1"})
     if begin is None:
-        assert "word.hour" in fields(asked)  # `the next hour` has no number: how many?
+        assert asked_about(asked, "hour") == ["duration"]  # it has no number: how many?
         return
     made = compiled(asked)
     assert (made.not_before, made.expiry) == (begin, end)
@@ -344,66 +348,131 @@ def test_an_unsaid_speed_is_the_profiles_upper_bound_and_is_marked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sentence", "word"),
+    ("sentence", "word", "field", "candidates"),
     [
-        ("quietly go to station 101", "quietly"),
-        ("bring P1 to the private station 101", "private"),
-        ("bring P1 to station 101 with the patient", "patient"),
-        ("go to station 101 & office 1", "&"),
-        ("inspect P1 via office 1 without recording", "via"),
+        ("quietly go to station 101", "quietly", "speed", ("leave it out",)),
+        ("go to station 101 hurriedly", "hurriedly", "speed", ("leave it out",)),
+        ("firmly pick up P1", "firmly", "force", ("leave it out",)),
+        ("pick up P1 with force", "with force", "force", ("leave it out",)),
+        ("bring P1 to the private station 101", "private", "destination", ("station-101",)),
+        ("bring the heavy P1 to station 101", "heavy", "object", ("package-p1",)),
+        ("bring the heavy package to station 101", "heavy", "object", ("package-p1", "package-p2")),
+        ("bring P1 to station 101 with the patient", "patient", "object", ("leave it out",)),
+        ("bring P1 from the dusty pharmacy to dock", "dusty", "source", ("pharmacy",)),
+        ("go to station 101 & office 1", "&", "destination", ("station-101",)),
+        ("inspect P1 via office 1 without recording", "office 1", "route", ("leave it out",)),
+        (
+            "bring the package with the red label to dock",
+            "with the red label",
+            "object",
+            ("package-p1", "package-p2"),
+        ),
+        ("deliver P1 around noon to station 101", "around noon", "destination", ("leave it out",)),
+        ("hello", "hello", "condition", ()),
+        ("go home and glow", "glow", "condition2", ("leave it out",)),
+        ("deliver P1 to station 101, glow", "glow", "condition", ("leave it out",)),
+        ("pick up P1 and zorb P2", "zorb", "condition", ("leave it out",)),
+        ("wait at the pharmacy for a few seconds", "seconds", "duration", ()),
+        ("go to station 101, then bring P1 to the wet dock", "wet", "step2.destination", ("dock",)),
     ],
 )
-def test_a_word_that_nothing_explains_is_asked_about(sentence: str, word: str) -> None:
+def test_words_that_nothing_explains_are_asked_about_at_the_slot_they_could_change(
+    sentence: str, word: str, field: str, candidates: tuple[str, ...]
+) -> None:
     asked = propose(sentence)
-    assert f"word.{word}" in fields(asked)
-    (question,) = [q for q in asked.questions if q.field == f"word.{word}"]
-    assert question.question == (
-        f'the word "{word}" is not understood: leave it out or say it otherwise'
+    assert asked_about(asked, word) == [field]
+    assert fields(asked)[field] == candidates
+    assert asked.draft == {}
+
+
+@pytest.mark.parametrize(
+    ("sentence", "places"),
+    [
+        ("bring P1 near station 101", ("station-101", "public-corridor", "staff-corridor")),
+        ("bring P1 next to the sharps bin", ("sharps-bin", "station-102")),
+        ("wait outside office 1 for 5 s", ("office-1", "public-corridor")),
+    ],
+)
+def test_near_a_place_is_asked_about_with_what_lies_there(
+    sentence: str, places: tuple[str, ...]
+) -> None:
+    asked = fields(propose(sentence))
+    assert set(asked["destination"]) == set(places)
+    answered = propose(sentence, destination=places[1])
+    assert "destination" not in fields(answered)
+
+
+def test_an_answer_that_names_the_thing_settles_the_words_at_it() -> None:
+    answered = mission("bring the heavy P1 to station 101", object="package-p1")
+    assert shape(answered.actions) == DELIVERY
+    for wrong in ("package-p2", "leave it out"):
+        with pytest.raises(MalformedError, match="expected one of"):
+            propose("bring the heavy P1 to station 101", object=wrong)
+    unnamed = propose("deliver zorb to station 101")
+    assert asked_about(unnamed, "zorb") == ["object"]
+    settled = propose("deliver zorb to station 101", object="package-p1")
+    assert shape(compiled(settled).actions) == DELIVERY
+    assert any("zorb" in item.why for item in settled.assumed if item.field == "object")
+    waited = propose("wait at the pharmacy for a few seconds", duration="5 s")
+    assert compiled(waited).actions[-1].limits[0].high == 5_000
+
+
+def test_an_answer_to_another_question_of_the_slot_does_not_settle_a_phrase_without_use() -> None:
+    """The object is answered; the thing that goes with it is still a question of its own."""
+    asked = propose("bring the package to station 101 using P2", object="package-p1")
+    assert fields(asked) == {"object2": ("leave it out",)}
+    done = propose(
+        "bring the package to station 101 using P2", object="package-p1", object2="leave it out"
     )
+    assert shape(compiled(done).actions) == DELIVERY
 
 
 @pytest.mark.parametrize(
-    ("sentence", "word"),
+    "sentence",
     [
-        ("do not enter office 1 and go to station 101", "not"),
-        ("deliver P1 to station 101, don't go to office 1", "don't"),
-        ("Never go to office 1", "Never"),
-        ("go to station 101 unless it is dark", "unless"),
-        ("go to station 101 after the patient left", "after"),
-        ("go to station 101 if the door is open", "if"),
-        ("bring P1 to station 101 or station 102", "or"),
-        ("go to station 101 at least 0.5 m/s", "least"),
-        ("go to station 101 without leaving the corridor", "without"),
+        "do not enter office 1 and go to station 101",
+        "deliver P1 to station 101, don't go to office 1",
+        "Never go to office 1",
+        "go to station 101 unless it is dark",
+        "go to station 101 after the patient left",
+        "go to station 101 if the door is open",
+        "bring P1 to station 101 or station 102",
+        "go to station 101 at least 0.5 m/s",
+        "go to station 101 without leaving the corridor",
+        "go to station 101. Requirement: stay on the left",
+        "go to station 101, ensuring quiet",
+        "go to station 101 within three steps",
     ],
 )
-def test_a_word_that_limits_cannot_be_left_out(sentence: str, word: str) -> None:
+def test_a_word_that_limits_cannot_be_left_out(sentence: str) -> None:
     """Leaving it out would grant what the sentence holds back."""
-    field = f"word.{word}"
+    (field,) = [name for name in fields(propose(sentence)) if name.endswith("condition")]
     assert fields(propose(sentence))[field] == ()
-    answered = propose(sentence, given={**GIVEN, field: "leave it out"})
-    assert answered.draft == {}
-    assert field in fields(answered)
+    for answer in ("leave it out", "always", "when the battery is low"):
+        answered = propose(sentence, given={**GIVEN, field: answer})
+        assert answered.draft == {}
+        assert fields(answered)[field] == ()
 
 
 @pytest.mark.parametrize(
-    ("sentence", "word"),
+    ("sentence", "word", "field"),
     [
-        ("go to the pharmacy with P1", "P1"),
-        ("go with P1 to the pharmacy", "P1"),
-        ("return from station 101 to base when the battery is low", "station 101"),
-        ("escort P1 to station 101", "P1"),
-        ("inspect the pharmacy in station 101 without recording", "station 101"),
-        ("pick up P1 from station 101 in office 1", "office 1"),
-        ("deliver P1 to station 101 twice", "2 times"),
-        ("go to station 101 three times", "3 times"),
-        ("go to station 101 with 20 N", "20 N"),
-        ("go to station 101 for 30 s", "30 s"),
-        ("go to station 101 without recording", "record"),
+        ("go to the pharmacy with P1", "P1", "object"),
+        ("go with P1 to the pharmacy", "P1", "object"),
+        ("return from station 101 to base when the battery is low", "station 101", "source"),
+        ("escort P1 to station 101", "P1", "object"),
+        ("inspect the pharmacy in station 101 without recording", "station 101", "destination"),
+        ("pick up P1 from station 101 in office 1", "office 1", "destination"),
+        ("deliver P1 to station 101 twice", "2 times", "count"),
+        ("go to station 101 three times", "3 times", "count"),
+        ("go to station 101 with 20 N", "20 N", "force"),
+        ("go to station 101 for 30 s", "30 s", "duration"),
+        ("go to station 101 without recording", "record", "data.record"),
     ],
 )
-def test_a_phrase_that_no_step_uses_is_asked_about(sentence: str, word: str) -> None:
+def test_a_phrase_that_no_step_uses_is_asked_about(sentence: str, word: str, field: str) -> None:
     """What was said and then not used would be a condition that vanished."""
-    assert f"word.{word}" in fields(propose(sentence))
+    assert asked_about(propose(sentence), word) == [field]
 
 
 def test_a_thing_is_inspected_where_the_sentence_says_it_is() -> None:
@@ -413,9 +482,9 @@ def test_a_thing_is_inspected_where_the_sentence_says_it_is() -> None:
 
 
 def test_a_word_is_left_out_only_when_a_person_says_so() -> None:
-    answered = propose("quietly go to station 101", word__quietly="leave it out")
+    answered = propose("quietly go to station 101", speed="leave it out")
     assert shape(compiled(answered).actions) == [("navigate", None, "station-101")]
-    assert "word.quietly" in {item.field for item in answered.assumed}
+    assert ("speed", '"quietly" left out') in {(i.field, i.value) for i in answered.assumed}
 
 
 @pytest.mark.parametrize(
@@ -445,8 +514,8 @@ def test_text_that_cannot_be_shown_and_signed_is_refused(text: str) -> None:
 
 
 def test_a_look_alike_letter_makes_another_word() -> None:
-    asked = fields(propose("bring P1 to st\u0430tion 101"))  # a Cyrillic letter
-    assert "word.st\u0430tion" in asked
+    asked = propose("bring P1 to st\u0430tion 101")  # a Cyrillic letter
+    assert asked_about(asked, "st\u0430tion") == ["destination"]
 
 
 def test_a_sentence_that_asks_for_nothing_grants_nothing() -> None:
@@ -476,9 +545,84 @@ def test_what_no_robot_or_another_robot_can_do_is_asked_about() -> None:
     assert asked == {"robot": ("courier-1",)}
 
 
-def test_a_door_that_the_site_has_no_thing_for_is_asked_about() -> None:
-    assert "object" in fields(propose("open the door"))
-    assert "object" in fields(propose("open the door of the pharmacy"))
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "open the door",
+        "open the door of the pharmacy",
+        "open the isolation room door",
+        "close the door to Isolation Room",
+        "open the door between the isolation room and the public corridor",
+    ],
+)
+def test_a_door_that_the_site_has_no_thing_for_is_asked_about_among_doors(sentence: str) -> None:
+    """A package is no answer to the question which door."""
+    assert fields(propose(sentence))["object"] == ("isolation_door_open",)
+    answered = propose(sentence, object="isolation_door_open")
+    assert answered.draft == {}
+    assert fields(answered)["object"] == ()
+
+
+def site_with_doors(**things: dict[str, Any]) -> Site:
+    """Return the hospital with things of class `door`, and a courier that opens them."""
+    site = worlds.site()
+    objects = dict(site.objects)
+    for item, model in things.items():
+        objects[item.replace("_", "-")] = ObjectModel(kind="door", mass_g=0, **model)  # type: ignore[index]
+    words = standard_words()
+    robots = dict(site.robots)
+    held = robots["courier-1"]  # type: ignore[index]
+    tools = {**held.profile.tools, "open": ("gripper",), "close": ("gripper",)}
+    profile = msgspec.structs.replace(held.profile, tools=tools)
+    robots["courier-1"] = msgspec.structs.replace(held, profile=profile)  # type: ignore[index]
+    vocabulary = {**site.vocabulary, "open": words["open"], "close": words["close"]}  # type: ignore[index]
+    return changed_site(objects=objects, robots=robots, vocabulary=vocabulary)
+
+
+TWO_DOORS = {
+    "isolation_door": {"home": "public-corridor", "names": ("Isolation Room Door",)},
+    "drug_door": {"home": "pharmacy", "names": ("Drug Door", "Door to the Staff Corridor")},
+}
+
+
+@pytest.mark.parametrize(
+    ("sentence", "door"),
+    [
+        ("open the isolation room door", "isolation-door"),
+        ("open the door of the isolation room", "isolation-door"),
+        ("open the door to Isolation Room", "isolation-door"),
+        ("open the door into the isolation room", "isolation-door"),
+        (
+            "open the door between the isolation room and the public corridor",
+            "isolation-door",
+        ),
+        ("open the door between pharmacy and staff corridor", "drug-door"),
+        ("open the pharmacy door", "drug-door"),
+        ("open the drug door", "drug-door"),
+    ],
+)
+def test_a_door_is_what_stands_at_the_place_or_has_its_name(sentence: str, door: str) -> None:
+    site = site_with_doors(**TWO_DOORS)
+    made = compiled(propose(sentence, site=site), site)
+    assert shape(made.actions)[-1] == ("open", door, None)
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    ["open the plant room door", "open the door between office 1 and office 2", "open the door"],
+)
+def test_a_door_that_no_thing_fits_is_asked_about_among_doors(sentence: str) -> None:
+    site = site_with_doors(**TWO_DOORS)
+    assert fields(propose(sentence, site=site)) == {"object": ("drug-door", "isolation-door")}
+    made = compiled(propose(sentence, site=site, object="drug-door"), site)
+    assert shape(made.actions)[-1] == ("open", "drug-door", None)
+
+
+@pytest.mark.parametrize(
+    "sentence", ["open the door between office 1", "open the door of", "open the door between P1"]
+)
+def test_half_a_door_is_a_question(sentence: str) -> None:
+    assert propose(sentence, site=site_with_doors(**TWO_DOORS)).questions
 
 
 def changed_site(**changes: Any) -> Site:
@@ -549,3 +693,50 @@ def test_everything_from_the_profile_is_listed_as_assumed() -> None:
         "window.not_before",
     }
     assert made.draft["budgets"]["actions"] == sum(g["starts"] for g in made.draft["grants"])
+
+
+#: The hospital with one package only, so that `package` alone is no question.
+ONE_PACKAGE = {"package-p1", "sharps-bin"}
+
+
+def one_package() -> Site:
+    objects = {k: v for k, v in worlds.site().objects.items() if k in ONE_PACKAGE}
+    return changed_site(objects=objects)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "word", "field"),
+    [
+        ("deliver package A to station 101", "A", "object"),
+        ("deliver package a to station 101", "a", "object"),
+        ("deliver the package the to station 101", "the", "object"),
+        ("deliver package B to station 101", "B", "object"),
+        ("deliver package S to station 101", "S", "object"),
+        ("deliver package 2 to station 101", "2", "object"),
+        ("deliver package two to station 101", "two", "object"),
+        ("deliver A package to station 101", "A", "object"),
+        ("deliver package robot to station 101", "robot", "object"),
+        ("deliver package to station 101 A", "A", "destination"),
+        ("deliver package to station 101 the", "the", "destination"),
+        ("deliver package to station 101 your", "your", "destination"),
+        ("deliver package Please to station 101", "Please", "object"),
+        ("guide the visitor A to station 101", "A", "destination"),
+    ],
+)
+def test_a_label_behind_a_noun_is_no_article(sentence: str, word: str, field: str) -> None:
+    """`package A` on a site with one package P1 is not that package: it is a question."""
+    asked = propose(sentence, site=one_package())
+    assert asked_about(asked, word) == [field]
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "deliver a package to the station 101",
+        "robot, deliver the package to station 101 please",
+        "Please deliver your package to station 101",
+        "deliver the package to station 101, please.",
+    ],
+)
+def test_an_article_before_its_noun_is_no_label(sentence: str) -> None:
+    assert shape(mission(sentence, site=one_package()).actions) == DELIVERY

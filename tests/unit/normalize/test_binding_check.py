@@ -10,11 +10,11 @@ import pytest
 
 import worlds
 from authguard_r.core.errors import MalformedError
-from authguard_r.normalize.binding import Binding, require_sound, ways
+from authguard_r.normalize.binding import Binding, ToolBinding, effect_of, require_sound, ways
 from authguard_r.normalize.check import check_binding
 from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_names
-from authguard_r.site.model import Parameter, Rounding, Site
+from authguard_r.site.model import Parameter, Profile, Robot, Rounding, Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
 from unit.normalize.bound import (
@@ -42,7 +42,8 @@ from unit.normalize.bound import (
 def test_a_shipped_binding_has_no_fault(name: str) -> None:
     binding = convert(binding_source(name), Binding, where=name)
     found = check_binding(binding, probe_site(binding, standard_words()))
-    assert (found.faults, found.unmapped, found.binding) == ((), (), name)
+    assert (found.faults, found.unproven, found.binding) == ((), (), name)
+    assert (found.interface, found.unmapped, found.uncompared) == (None, None, None)
     assert found.ways >= found.tools > 0
 
 
@@ -108,10 +109,16 @@ def test_a_number_that_cannot_be_given_back_is_found() -> None:
         {"type": "describe", "tool": "x", "arguments": {"name": mapped("object")}},
     ],
 )
-def test_a_way_of_which_the_site_has_no_example_is_left_out(tool: Plain) -> None:
+def test_a_way_of_which_the_site_has_no_example_is_unproven_and_that_is_a_fault(
+    tool: Plain,
+) -> None:
+    """What no sample shows is not shown: the check says so instead of passing."""
     empty = msgspec.structs.replace(site(), regions={}, objects={})
     assert Sampler(empty).call(ways(unchecked({"go": tool}))[0]) is None
-    assert report({"go": tool}, empty).faults == ()
+    found = report({"go": tool, "stay": wait()}, empty)
+    assert (found.unproven, faults(found)) == (("tools.go",), ["tools.go"])
+    assert "check it without `--site`" in found.faults[0].message
+    assert report({"go": tool, "stay": wait()}).unproven == ()
 
 
 # -- samples ---------------------------------------------------------------------------------------
@@ -202,3 +209,129 @@ def test_ways_of_which_one_always_says_more_never_meet() -> None:
     }
     tools["explore"]["arguments"]["r"]["optional"] = True
     assert ("tools.map", "tools.explore") in report(tools).groups.values()
+
+
+TWIST: Plain = {
+    "type": "drive",
+    "tool": "base",
+    "attested": ["source"],
+    "fixed": {"params.duration_ms": 500},
+    "arguments": {
+        "x": mapped("params.linear_mm_s"),
+        "y": mapped("params.lateral_mm_s"),
+        "z": mapped("params.turn_urad_s"),
+    },
+}
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ({"effect": "/cmd_vel"}, {"effect": "/cmd_vel"}),
+        ({"effect": "cmd_vel"}, {"effect": "/cmd_vel/"}),
+        ({"effect": "/cmd_vel"}, {"when": {"topic": "/cmd_vel", "type": "TwistStamped"}}),
+        (
+            {"when": {"topic": "/cmd_vel", "type": "Twist"}},
+            {"when": {"topic": "/cmd_vel", "type": "TwistStamped"}},
+        ),
+        ({"when": {"service_name": "/go"}}, {"when": {"service": "/go", "service_type": "Go"}}),
+    ],
+)
+def test_ways_to_one_effect_have_one_type_and_one_tool(effects: tuple[Plain, Plain]) -> None:
+    """A grant of one way says nothing of the wheels while another way moves them (L1)."""
+    one, two = ({**TWIST, **effect} for effect in effects)
+    found = report({"go": one, "stamped": two})
+    assert found.faults == ()
+    assert found.groups == {"drive by base params.duration_ms=500": ("tools.go", "tools.stamped")}
+    for apart in ({"tool": "other"}, {"type": "turn"}):
+        (fault,) = [
+            fault
+            for fault in report({"go": one, "stamped": {**two, **apart}}).faults
+            if fault.where == "tools.stamped.effect"
+        ]
+        assert fault.message.startswith("expected `drive` by `base` as `tools.go` moves `")
+        with pytest.raises(MalformedError):
+            load({"go": one, "stamped": {**two, "tool": "other"}})
+
+
+def test_different_effects_and_calls_that_are_always_refused_need_not_meet() -> None:
+    pose = {"type": "set_pose", "tool": "none", "effect": "/cmd_vel"}
+    one = {**TWIST, "effect": "/cmd_vel"}
+    other = {**TWIST, "tool": "other"}
+    assert report({"go": one, "pose": pose, "free": other}).faults == ()
+    assert report({"go": one, "far": {**other, "effect": "/far/cmd_vel"}}).faults == ()
+    commands = [
+        {**TWIST, "tool": tool, "when": {"topic": "/command", "data": tool}} for tool in "ab"
+    ]
+    assert report({"go": commands}).faults == ()
+    plain = {**TWIST, "tool": "c", "when": {"topic": "/command"}}
+    assert faults(report({"go": commands, "any": plain})) == ["tools.any.effect"]
+    declared = [{**way, "effect": "command"} for way in commands]
+    assert faults(report({"go": declared})) == ["tools.go[1].effect"]
+
+
+def test_an_effect_is_what_is_declared_or_else_the_constant_name() -> None:
+    def effect(**more: Any) -> str:
+        return effect_of(convert({**TWIST, **more}, ToolBinding, where="way"))
+
+    named = {"when": {"topic": "/cmd_vel", "type": "Twist"}}
+    assert effect() == effect(when={"topic": 1}) == ""
+    assert effect(**named) == "cmd_vel"
+    assert effect(**named, effect="wheels") == "wheels"
+    assert effect(arguments={"action_name": fixed("/spin")}) == "spin"
+    assert effect(arguments={"action_name": mapped("object")}) == ""
+
+
+@pytest.mark.parametrize("name", ["cmd-vel", "ros-mcp"])
+def test_a_shipped_twist_bound_to_another_tool_than_its_stamped_form_is_found(name: str) -> None:
+    plain: Any = binding_source(name)
+    (stamped,) = [
+        way
+        for way in plain["tools"]["publish" if name == "cmd-vel" else "publish_once"]
+        if "geometry_msgs/msg/TwistStamped" in way["when"].values()
+    ]
+    assert stamped["tool"] == "base"
+    stamped["tool"] = "base-stamped"
+    binding = convert(plain, Binding, where=name)
+    found = check_binding(binding, probe_site(binding, standard_words()))
+    assert [fault.where.rpartition(".")[2] for fault in found.faults] == ["effect"]
+
+
+def test_a_name_of_an_effect_is_ascii() -> None:
+    assert faults(report({"go": {**TWIST, "effect": "/\u0441md_vel"}})) == ["tools.'go'"]
+
+
+# -- what a controller settles ---------------------------------------------------------------------
+
+
+def staffed(tools: dict[str, list[str]], controllers: dict[str, str]) -> Site:
+    profile = {
+        "tools": tools,
+        "max_speed_mm_s": 1,
+        "max_force_mn": 1,
+        "max_payload_g": 1,
+        "controllers": controllers,
+    }
+    robot = Robot(profile=convert(profile, Profile, where="profile"), home="square-1")
+    return msgspec.structs.replace(site(), robots={"robot-1": robot})
+
+
+def test_a_fixed_value_hangs_on_the_signed_digest_of_its_controller() -> None:
+    """Every robot that has the tool has the controller in its profile, or the way is unsound."""
+    way = {**TWIST, "controller": "watchdog"}
+    able, digest = {"drive": ["base"]}, {"watchdog": "A" * 43}
+    assert report({"go": way}, staffed(able, digest)).faults == ()
+    assert report({"go": way}).faults == ()
+    assert report({"go": way}, staffed({"drive": ["other"], "walk": ["base"]}, {})).faults == ()
+    for controllers in ({}, {"nav2": "A" * 43}):
+        (fault,) = report({"go": way}, staffed(able, controllers)).faults
+        assert fault.where == "tools.go.controller"
+        assert fault.message == "expected a controller in the profile of `robot-1`, got `watchdog`"
+        with pytest.raises(MalformedError):
+            load({"go": way}, staffed(able, controllers))
+
+
+def test_a_controller_that_settles_nothing_is_found() -> None:
+    (fault,) = report({"go": {**wait(), "controller": "watchdog"}}).faults
+    assert fault.where == "tools.go.controller"
+    assert "under `fixed`" in fault.message

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.check import BindingReport
-from authguard_r.normalize.interface import read_interface
+from authguard_r.normalize.interface import listed_interface, read_interface
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -214,3 +215,39 @@ def test_a_message_is_found_by_its_type_and_compared_below_its_body() -> None:
     ]
     body = {**top, "body": "msg", "arguments": {"msg": REFUSED}, "type": "unheld"}
     assert compared(body, "int32 sec\n", "Hold.msg").faults == ()
+
+
+# -- the short form --------------------------------------------------------------------------------
+
+
+def test_a_listed_interface_says_what_its_definition_says() -> None:
+    listing = {"tools": {"go": "goal.place items.[].x tags.*", "rest": ""}, "messages": {"Go": "b"}}
+    go, rest, message = listed_interface(listing, where="listed")
+    assert (go.name, go.message, go.leaves) == ("go", False, ("goal.place", "items.[].x", "tags"))
+    assert go.open == frozenset({"tags"})
+    assert (rest.leaves, rest.open) == ((), frozenset())
+    assert (message,) == read_interface("int32 b\n", name="Go.msg")
+    assert listed_interface({}, where="listed") == ()
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [[], None, {"tool": {}}, {"tools": []}, {"tools": {"go": ["a"]}}, {"tools": {"go": None}}],
+)
+def test_another_list_is_refused_with_its_place(bad: Any) -> None:
+    with pytest.raises(MalformedError) as caught:
+        listed_interface(bad, where="listed")
+    assert caught.value.where.startswith("listed")
+
+
+def test_a_field_is_bound_under_any_name_that_the_binding_gives_it() -> None:
+    """A call by position is bound as `1`; the interface knows the argument by its name."""
+    arguments = {"1": mapped("destination", also=["place"])}
+    tool = {**GO_TO_POSE, "arguments": arguments}
+    for name in ("place", "1"):
+        surfaces = listed_interface({"tools": {"go": name}}, where="listed")
+        assert report({"go": tool}, None, *surfaces).faults == ()
+    surfaces = listed_interface({"tools": {"go": "spot"}}, where="listed")
+    found = report({"go": tool}, None, *surfaces)
+    assert faults(found) == ["tools.go.arguments", "tools.go.arguments.1"]
+    assert found.unmapped == ("tools.go.arguments: expected the field `spot`",)

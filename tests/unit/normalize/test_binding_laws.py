@@ -87,6 +87,8 @@ tools = st.fixed_dictionaries(
         "attested": st.just(["source"]),
         "when": st.dictionaries(names, constants.filter(lambda v: v is not None), max_size=2),
         "body": st.sampled_from(["a", "c"]),
+        "effect": st.sampled_from(["/a", "a", "b"]),
+        "controller": st.just("c"),
         "message": st.just("my_msgs/msg/Go"),
     },
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -15,9 +16,11 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedE
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ways
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
+from authguard_r.normalize.dialects.verbs import STEP_VERBS
+from authguard_r.normalize.interface import read_interface
 from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.normalize.samples import Sampler, probe_site
-from authguard_r.normalize.shipped import binding_source, shipped_names
+from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
 
@@ -45,13 +48,15 @@ def test_the_command_checks_a_shipped_binding_and_a_file(
     told = json.loads(out)
     assert code == 0
     assert (told["binding"], told["tools"], told["unmapped"]) == ("bfcl-vehicle", 22, [])
+    assert (told["interface"], told["unproven"]) == (22, [])
     assert told["faults"] == []
     assert told["groups"] == {"brake by car": ["tools.pressBrakePedal", "tools.releaseBrakePedal"]}
     assert set(told["fields"]) == {"mapped", "fixed", "refused", "noted"}
     hospital = str(worlds.HOSPITAL / "binding.yaml")
     code, out = run(capsys, "check", hospital, "--site", str(worlds.HOSPITAL / "site.yaml"))
     assert (code, out.splitlines()[0][:23]) == (0, "courier-tools: 9 tools,")
-    assert run(capsys, "check", hospital)[0] == 0
+    code, out = run(capsys, "check", hospital, "--json")
+    assert (code, json.loads(out)["interface"], json.loads(out)["unmapped"]) == (0, None, None)
     text = (worlds.HOSPITAL / "binding.yaml").read_text()
     bad = tmp_path / "bad.yaml"
     bad.write_text(text.replace("to: object", "to: subject"))
@@ -75,6 +80,92 @@ def test_the_command_compares_with_files_and_folders(
     code, out = run(capsys, "check", "cmd-vel", "--interface", one, "--json")
     assert code == 4
     assert ["boost" in line for line in json.loads(out)["unmapped"]] == [True]
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_a_shipped_binding_is_compared_with_its_own_interface(
+    capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    code, out = run(capsys, "check", name, "--strict", "--json")
+    told = json.loads(out)
+    assert (code, told["faults"], told["unproven"]) == (0, [], [])
+    assert (told["unmapped"], told["uncompared"]) == ([], [])
+    surfaces = shipped_interface(name)
+    assert surfaces
+    assert told["interface"] == len(surfaces)
+    assert f"interface: {len(surfaces)} tools or messages" in run(capsys, "check", name)[1]
+
+
+def test_without_an_interface_the_command_says_that_nothing_shows_every_field(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    hospital = str(worlds.HOSPITAL / "binding.yaml")
+    code, out = run(capsys, "check", hospital)
+    line = "no interface given: nothing shows that every field is bound"
+    assert (code, out.splitlines()[-1]) == (0, line)
+    assert run(capsys, "check", hospital, "--strict")[0] == 1
+
+
+def test_a_way_of_which_the_interface_says_nothing_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """One message definition shows nothing of the ways that send others."""
+    one = tmp_path / "Twist.msg"
+    one.write_text("geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n")
+    told = ["check", "cmd-vel", "--interface", str(one)]
+    code, out = run(capsys, *told)
+    line = "the interface says nothing of tools.publish[1]"
+    assert (code, out.splitlines()[-1]) == (0, line)
+    assert run(capsys, *told, "--strict")[0] == 1
+
+
+def test_a_tool_or_a_field_deleted_from_a_copy_of_a_shipped_binding_is_found(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A copy is compared with the interface that it was copied for, by name."""
+    plain: Any = binding_source("ros-mcp")
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(json.dumps(plain))
+    told = ["check", str(mine), "--interface", "ros-mcp", "--json"]
+    assert run(capsys, *told)[0] == 0
+    called = plain["tools"].pop("subscribe_once")
+    mine.write_text(json.dumps(plain))
+    code, out = run(capsys, *told)
+    missing = ["subscribe_once: expected a binding for it"]
+    assert (code, json.loads(out)["unmapped"]) == (4, missing)
+    assert run(capsys, *told[:2], "--strict")[0] == 1
+    for way in called:
+        del way["arguments"]["timeout"]
+    mine.write_text(json.dumps({**plain, "tools": {**plain["tools"], "subscribe_once": called}}))
+    code, out = run(capsys, *told)
+    assert (code, len(json.loads(out)["unmapped"])) == (4, len(called))
+
+
+def test_an_interface_without_a_tool_is_refused_since_it_would_show_nothing(
+    tmp_path: Path,
+) -> None:
+    none = tmp_path / "none.json"
+    none.write_text('{"tools": []}')
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    for place in (none, folder):
+        with pytest.raises(MalformedError) as caught:
+            command.app(args=["check", "nav2", "--interface", str(place)], standalone_mode=False)
+        assert caught.value.where == str(place)
+
+
+def test_no_interface_is_called_like_a_path_or_another_spelling() -> None:
+    assert shipped_interface("ros-mcp")
+    for name in ("ROS-MCP", "ros-mcp ", "../interfaces/nav2", "interfaces/nav2", ""):
+        assert shipped_interface(name) is None
+
+
+def test_the_steps_that_are_bound_are_all_that_the_dialect_reads() -> None:
+    """Each verb with the most names that may stand behind it, in the dialect's own table."""
+    most = {verb.tool: verb.high for verb in STEP_VERBS.values()}
+    listed = shipped_interface("safeagentbench")
+    assert listed is not None
+    assert {surface.name: len(surface.leaves) for surface in listed} == most
 
 
 def test_the_command_lists_and_shows_with_a_sample_for_each_way(
@@ -216,3 +307,12 @@ def test_what_a_planner_writes_in_its_dialect_reaches_its_shipped_binding(name: 
     found = [binder.bind(call) for call in read_plan(text, dialect)]
     assert [action.type for action in found] == expected
     assert [binder.bind(rebuilder.rebuild(action)) for action in found] == found
+
+
+def test_the_shipped_fields_of_velocity_commands_are_those_of_their_messages() -> None:
+    texts = {
+        "Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+        "TwistStamped": "std_msgs/Header header\ngeometry_msgs/Twist twist\n",
+    }
+    read = tuple(s for n, text in texts.items() for s in read_interface(text, name=f"{n}.msg"))
+    assert shipped_interface("cmd-vel") == read

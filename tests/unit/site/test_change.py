@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 import worlds
+from authguard_r.core.provenance import Label
 from authguard_r.site.change import Change, Effect, changes, line_of
 from authguard_r.site.model import (
     ActionModel,
@@ -41,6 +42,10 @@ def profile(**to: Any) -> Site:
     robot = BASE.robots["courier-1"]
     changed: Profile = replace(robot.profile, **to)
     return replace(BASE, robots={**BASE.robots, "courier-1": replace(robot, profile=changed)})
+
+
+def channels(**labels: str) -> Site:
+    return replace(BASE, channels={channel: Label(label) for channel, label in labels.items()})
 
 
 def without(group: str, item: str) -> Site:
@@ -106,6 +111,49 @@ ONE: dict[str, tuple[Site, Site, Effect, str]] = {
         speed(low=-1),
         Effect.WIDENS,
         "vocabulary.navigate.params.speed_mm_s.low",
+    ),
+    "a worse harm": (
+        BASE,
+        kind("navigate", physical=2),
+        Effect.MEANING,
+        "vocabulary.navigate.physical",
+    ),
+    "a lesser harm": (
+        kind("navigate", physical=2),
+        BASE,
+        Effect.MEANING,
+        "vocabulary.navigate.physical",
+    ),
+    "a channel more": (
+        BASE,
+        channels(pager="model"),
+        Effect.ADDS,
+        "channels.pager",
+    ),
+    "a channel less": (channels(pager="model"), BASE, Effect.REMOVES, "channels.pager"),
+    "less trust in a shipped channel": (
+        BASE,
+        channels(tool="retrieval"),
+        Effect.NARROWS,
+        "channels.tool",
+    ),
+    "a shipped channel as it was": (
+        channels(tool="retrieval"),
+        BASE,
+        Effect.WIDENS,
+        "channels.tool",
+    ),
+    "more trust in a channel": (
+        channels(pager="camera"),
+        channels(pager="audio"),
+        Effect.WIDENS,
+        "channels.pager",
+    ),
+    "a shipped channel written out": (
+        BASE,
+        channels(tool="model"),
+        Effect.ADDS,
+        "channels.tool",
     ),
     "a unit": (
         BASE,

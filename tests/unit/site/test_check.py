@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 import worlds
+from authguard_r.core.provenance import Label
 from authguard_r.site.check import Fault, faults
 from authguard_r.site.model import (
     ActionModel,
@@ -22,8 +23,10 @@ from authguard_r.site.model import (
     Robot,
     Rounding,
     Site,
+    site_digest,
 )
 from authguard_r.site.model import PersonRole as Role
+from authguard_r.site.places import MOST_OVERLAPS
 
 replace = msgspec.structs.replace
 
@@ -68,6 +71,11 @@ def speed(**changes: Any) -> Site:
     return kind("navigate", params={"speed_mm_s": replace(params["speed_mm_s"], **changes)})
 
 
+def parameter(name: str, unit: str) -> Site:
+    """Return the site with a type of one parameter."""
+    return kind("hum", params={name: replace(BYTES, unit=unit)})
+
+
 def doors(*more: Door) -> Site:
     return site(doors=(*worlds.site().doors, *more))
 
@@ -110,6 +118,51 @@ BROKEN: dict[str, tuple[Callable[[], Site], str, str]] = {
         lambda: thing("sharps-bin", names=("P1",)),
         "objects.sharps-bin.names",
         "`P1` of `package-p1`",
+    ),
+    "a unit that is not the name's": (
+        lambda: parameter("speed_mm_s", "cm/s"),
+        "vocabulary.hum.params.speed_mm_s.unit",
+        "expected `mm/s`, as the name ends in `mm_s`, got `cm/s`",
+    ),
+    "a unit of another power of ten": (
+        lambda: parameter("speed_mm_s", "m/s"),
+        "vocabulary.hum.params.speed_mm_s.unit",
+        "`mm/s`",
+    ),
+    "a unit of another dimension": (
+        lambda: parameter("force_mn", "mm"),
+        "vocabulary.hum.params.force_mn.unit",
+        "`mN`",
+    ),
+    "a unit that nobody knows": (
+        lambda: parameter("speed", "furlong/h"),
+        "vocabulary.hum.params.speed.unit",
+        "a name that ends in its unit",
+    ),
+    "a known unit that the name does not say": (
+        lambda: parameter("speed", "mm/s"),
+        "vocabulary.hum.params.speed.unit",
+        "a name that ends in its unit",
+    ),
+    "an ending within a word": (
+        lambda: parameter("programs", "ms"),
+        "vocabulary.hum.params.programs.unit",
+        "a name that ends in its unit",
+    ),
+    "a channel that is nobody's name": (
+        lambda: site(channels={"lidar.text": Label.CAMERA}),
+        "channels.lidar.text",
+        "a-z, 0-9 and `_`",
+    ),
+    "a channel of text that claims authority": (
+        lambda: site(channels={"intercom": Label.OPERATOR}),
+        "channels.intercom",
+        "expected model, memory, retrieval, audio, camera, got `operator`",
+    ),
+    "a shipped channel that is trusted more": (
+        lambda: site(channels={"camera": Label.MODEL}),
+        "channels.camera",
+        "expected camera, got `model`",
     ),
     "corners on a line": (
         lambda: added("dock-2", points=((34000, 0), (36000, 0), (38000, 0))),
@@ -465,3 +518,21 @@ def test_every_fault_is_named_in_the_order_of_the_model_s_parts() -> None:
 def test_a_fault_is_a_value() -> None:
     assert Fault("a", "b") == Fault(where="a", message="b")
     assert faults(worlds.site()) == ()
+
+
+def test_a_site_s_own_channels_and_less_trust_in_a_shipped_one_are_sound() -> None:
+    added = {"intranet": Label.RETRIEVAL, "pager": Label.MODEL, "tool": Label.RETRIEVAL}
+    assert faults(site(channels=added)) == ()
+    assert site_digest(site(channels={})) == site_digest(worlds.site())
+    assert site_digest(site(channels=added)) != site_digest(worlds.site())
+
+
+def test_regions_all_on_one_spot_are_refused_without_looking_at_every_pair() -> None:
+    """The attack: a small file that keeps the checker busy for minutes."""
+    base = replace(worlds.site().regions["dock"], names=(), floor=9)
+    many = {f"r{chr(97 + n // 20)}{chr(97 + n % 20)}": base for n in range(300)}
+    found = faults(site(regions={**worlds.site().regions, **many}))
+    overlaps = [fault for fault in found if "no area in common" in fault.message]
+    assert len(overlaps) == MOST_OVERLAPS
+    told = [fault for fault in overlaps if "further overlaps are not looked for" in fault.message]
+    assert told == overlaps[-1:]

@@ -12,7 +12,7 @@ from authguard_r.core.checks.place import place_findings
 from authguard_r.core.identifiers import RegionId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.state import attest
+from authguard_r.core.state import AttestedState, attest
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import Door, Region, Site, facts_of, profile_digest
 from authguard_r.site.places import adjacent, ancestors
@@ -68,33 +68,54 @@ def test_ancestors_are_named_nearest_first_and_a_cycle_ends() -> None:
     assert ancestors(site({"a": square(0, 0, 9, within="gone")}), "a") == ("gone",)
 
 
-def test_granting_a_parent_grants_no_child() -> None:
-    """A pose in the child lies in both regions, so permission for one is not enough."""
+def bay_within_dock(place: tuple[int, int]) -> AttestedState:
+    """Return the state of a robot at a point of a dock that has a bay within it."""
     base = worlds.site()
-    dock = base.regions["dock"]
     points = ((35000, 500), (37000, 500), (37000, 2500), (35000, 2500))
-    bay = replace(dock, points=points, names=(), within="dock")
+    bay = replace(base.regions["dock"], points=points, names=(), within="dock")
     changed = replace(base, regions={**base.regions, "bay": bay})
-    digest = profile_digest(base.robots["courier-1"].profile)
-    facts = facts_of(changed, rid=worlds.RID, profile=digest)
-    state = attest(
-        snapshot_of(worlds.world("dock"), robot=worlds.RID, epoch=1, seq=1),
-        facts,
-        arrived_mono_ms=0,
+    facts = facts_of(
+        changed, rid=worlds.RID, profile=profile_digest(base.robots["courier-1"].profile)
     )
-    assert state.place == {"bay", "dock"}
+    seen = snapshot_of(worlds.world("dock"), robot=worlds.RID, epoch=1, seq=1)
+    assert seen.pose is not None
+    pose = replace(seen.pose, x_mm=place[0], y_mm=place[1], margin_mm=100)
+    return attest(replace(seen, pose=pose), facts, arrived_mono_ms=0)
 
-    def refused(*regions: str) -> bool:
-        found = place_findings(
-            state,
-            tuple(RegionId(region) for region in regions),
-            reason=Reason.OUTSIDE_REGIONS,
-            rid=worlds.RID,
-            now=Now(worlds.START_MS, 0),
-            max_age_ms=1_000,
-        )
-        return bool(found)
 
-    assert refused("dock")
-    assert refused("bay")
-    assert not refused("bay", "dock")
+def passes(state: AttestedState, *regions: str) -> bool:
+    found = place_findings(
+        state,
+        tuple(RegionId(region) for region in regions),
+        reason=Reason.OUTSIDE_REGIONS,
+        rid=worlds.RID,
+        now=Now(worlds.START_MS, 0),
+        max_age_ms=1_000,
+    )
+    return not found
+
+
+def test_granting_a_parent_grants_no_child_and_granting_the_child_suffices_in_it() -> None:
+    """Farther from the child's edge than the margin, the child alone is the place."""
+    state = bay_within_dock((36000, 1500))
+    assert state.place == {"bay"}
+    assert passes(state, "bay")
+    assert passes(state, "bay", "dock")
+    assert not passes(state, "dock")
+
+
+def test_granting_a_child_grants_nothing_of_its_parent() -> None:
+    state = bay_within_dock((34500, 1500))
+    assert state.place == {"dock"}
+    assert passes(state, "dock")
+    assert not passes(state, "bay")
+
+
+def test_on_the_border_of_a_child_both_must_be_allowed() -> None:
+    """Within the margin of the edge nobody can say on which side the robot is."""
+    for x in (34901, 35000, 35099):
+        state = bay_within_dock((x, 1500))
+        assert state.place == {"bay", "dock"}
+        assert passes(state, "bay", "dock")
+        assert not passes(state, "bay")
+        assert not passes(state, "dock")

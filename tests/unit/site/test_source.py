@@ -24,6 +24,7 @@ from authguard_r.site.check import faults
 from authguard_r.site.model import Parameter, Site
 from authguard_r.site.places import adjacent
 from authguard_r.site.source import convert, parse_site, read_site, read_text, read_yaml
+from authguard_r.site.strict import MAX_NODES
 
 SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 
@@ -190,6 +191,62 @@ def test_no_text_without_tags_raises_anything_but_malformed(text: str) -> None:
 
 
 # -- files -----------------------------------------------------------------------------------------
+
+
+MEGABYTE = 1 << 20
+
+
+def filled(piece: str) -> str:
+    return (piece * (MEGABYTE // len(piece) + 1))[: MEGABYTE - 4]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        filled("- a\n"),
+        filled("- - -\n"),
+        filled("a: 1\n"),
+        filled("'': 1\n"),
+        "".join(f"k{number}: 1\n" for number in range(MEGABYTE // 12)),
+        f"[{filled('a,')}]",
+        f"[{filled('[],')}]",
+        f"[{filled('[0, 0], ')}]",
+        f"[{filled('{a: b}, ')}]",
+        "{" + ",".join(f"k{number}" for number in range(MEGABYTE // 8)) + "}",
+        filled("["),
+        filled("- "),
+        filled("? "),
+        filled("word "),
+        filled("#\n"),
+        filled("\n"),
+        filled("--- a\n"),
+        f'"{filled("a ")}"',
+        f'"{filled(chr(92) + "x41")}"'[:MEGABYTE],
+        f"|\n{filled(' a' + chr(10))}",
+        filled("&a "),
+        filled("!a "),
+        filled("<<: {a: 1}\n"),
+    ],
+)
+def test_a_megabyte_of_yaml_is_read_or_refused_at_once(text: str) -> None:
+    begin = time.process_time()
+    with contextlib.suppress(MalformedError):
+        read_yaml(text, where="x")
+    assert time.process_time() - begin < 3  # well under a second; the machine may be busy
+
+
+def test_more_keys_and_values_than_a_text_may_have_are_refused() -> None:
+    most = ["a"] * (MAX_NODES - 1)  # the list is one too
+    assert read_yaml(f"[{','.join(most)}]", where="x") == most
+    with pytest.raises(MalformedError) as caught:
+        read_yaml(f"[{','.join([*most, 'a'])}]", where="x")
+    assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "x")
+
+
+def test_a_text_of_more_than_a_megabyte_is_refused_before_it_is_looked_at() -> None:
+    with pytest.raises(MalformedError) as caught:
+        read_yaml("a" * (MEGABYTE + 1), where="x")
+    assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "x")
 
 
 def test_a_file_that_cannot_be_read_says_which_and_why(tmp_path: Path) -> None:

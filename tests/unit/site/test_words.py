@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
 from typing import Any
 
 import msgspec
@@ -12,7 +13,7 @@ import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.site.check import faults
 from authguard_r.site.model import ActionModel, site_digest
-from authguard_r.site.source import parse_site
+from authguard_r.site.source import parse_site, read_yaml
 from authguard_r.site.words import standard_words, with_words
 
 SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
@@ -44,6 +45,24 @@ def test_what_writes_a_robot_s_beliefs_is_marked_so_that_no_planner_gets_it() ->
     assert all(words[word].state_writing for word in beliefs)
 
 
+def test_every_word_says_how_badly_it_can_hurt() -> None:
+    """Nothing is harmless because somebody forgot to say."""
+    text = files("authguard_r.site").joinpath("words.yaml").read_text(encoding="utf-8")
+    plain: Any = read_yaml(text, where="words.yaml")
+    assert [word for word, model in plain.items() if "physical" not in model] == []
+    words = standard_words()
+    assert words["cruise"].physical == 3
+    assert words["slice"].physical == words["throw"].physical == words["move_arm"].physical == 2
+    assert words["read_metadata"].physical == words["wait"].physical == 0
+    assert [word for word, model in words.items() if model.moves and not model.physical] == []
+
+
+@pytest.mark.parametrize("physical", [-1, 4, "true", "high", "1.0"])
+def test_an_impact_is_one_of_four(physical: Any) -> None:
+    text = f"{HEAD}vocabulary:\n  hum: {{fields: [], physical: {physical}}}\n"
+    assert refused(text) == "x:vocabulary.hum.physical"
+
+
 def test_a_site_may_take_over_all_words() -> None:
     assert parse_site(f"{HEAD}words: standard\n", where="x").vocabulary == standard_words()
 
@@ -65,7 +84,7 @@ def test_a_site_without_words_keeps_its_digest_and_one_with_them_is_what_it_spel
     assert set(own.vocabulary) == set(worlds.site().vocabulary)
     words = sorted(own.vocabulary)
     same = [word for word in words if own.vocabulary[word] == standard_words()[word]]
-    assert "navigate" in same
+    assert "wait" in same
     assert site_digest(parse_site(f"{SITE}words: [{', '.join(same)}]\n", where="x")) == site_digest(
         own
     )
