@@ -157,6 +157,55 @@ def test_a_person_at_the_terminal_is_asked(console: Console) -> None:
     assert "Which destination does `office` mean?" in err
 
 
+def test_a_question_that_no_answer_settles_is_not_asked_for_ever(console: Console) -> None:
+    code, out, err = console(
+        "go to station 101 unless it is dark within 5 min", *GIVEN, typed="x\n" * 50
+    )
+    assert (code, out) == (3, "")
+    assert err.count("say it otherwise (condition)") == 1
+
+
+ESCAPES = "\x1b[2J\x07\u202e\nforged"
+
+
+class Chatty:
+    """A server's model whose words are an attack on the terminal; stands where the network is."""
+
+    name = "openai:m"
+    reply = ""
+
+    def __init__(self, reach: object) -> None:
+        self.reach = reach
+
+    def ask(self, system: str, user: str) -> str:
+        return self.reply
+
+
+def test_nothing_that_a_model_says_reaches_the_terminal_raw(
+    console: Console, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Escape sequences could hide a candidate, and a line break could forge one."""
+    monkeypatch.setattr("authguard_r.drafting.models.OpenAIChat", Chatty)
+    model = ("--proposer", "openai", "--base-url", "http://127.0.0.1:9/v1", "--model", "m")
+    asked = {"field": f"a{ESCAPES}", "question": f"q{ESCAPES}?", "candidates": [f"c{ESCAPES}"]}
+    monkeypatch.setattr(Chatty, "reply", json.dumps({"questions": [asked]}))
+    for typed in (None, "wrong\n1\n"):
+        code, out, err = console("go there", *model, typed=typed)
+        assert code == 3
+        assert not set("\x1b\x07\u202e") & set(out + err)
+        assert "\nforged" not in out + err
+    target = tmp_path / "draft.yaml"
+    monkeypatch.setattr(Chatty, "name", f"openai:{ESCAPES}")
+    draft = {"mission": f"m{ESCAPES}", "task": "go there", "budgets": {"motion": 0.8}}
+    monkeypatch.setattr(Chatty, "reply", json.dumps(draft))
+    for options in ((), ("--out", str(target))):
+        code, out, err = console("go there", *model, *options)
+        assert (code, err) == (0, "")
+        assert not set("\x1b\x07\u202e") & set(out)
+    assert "\x1b" not in target.read_text()
+    assert yaml.safe_load(target.read_text()) == {**draft, "budgets": {"motion": "0.8"}}
+
+
 def test_no_input_never_asks_and_end_of_input_stops(console: Console) -> None:
     sentence = "bring the package to the office"
     assert console(sentence, *GIVEN, "--no-input", typed="1\n1\n25 min\n")[0] == 3

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import pty
 import shutil
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -388,6 +391,60 @@ def test_no_is_no_and_leaves_neither_token_nor_confirmation(shell: Shell) -> Non
     assert sign(shell, *SITE)[0] == 2
     assert not Path("m.token").exists()
     assert not Path("m.confirmation.json").exists()
+
+
+@contextmanager
+def stdin_from(file: int) -> Iterator[None]:
+    """Let commands read a real file descriptor, and ask it what it is."""
+    held = sys.stdin
+    with os.fdopen(file, encoding="utf-8") as there:
+        sys.stdin = there
+        try:
+            yield
+        finally:
+            sys.stdin = held
+
+
+@pytest.mark.parametrize(("typed", "code"), [(b"y\n", 0), (b"n\n", 2)])
+def test_a_person_at_a_terminal_confirms(shell: Shell, typed: bytes, code: int) -> None:
+    compiled(shell)
+    person, terminal = pty.openpty()
+    os.write(person, typed)
+    with stdin_from(terminal):
+        assert call(["mission", "sign", "m.json", *KEY, *SITE, "--out", "m.token"]) == code
+    os.close(person)
+    assert Path("m.token").exists() == (code == 0)
+    if code == 0:
+        assert json.loads(Path("m.confirmation.json").read_text())["how"] == "interactive"
+
+
+@pytest.mark.parametrize(("typed", "code"), [(b"y\n", 0), (b"", 2)])
+def test_the_attack_a_piped_yes_is_no_person_s(shell: Shell, typed: bytes, code: int) -> None:
+    compiled(shell)
+    reader, writer = os.pipe()
+    os.write(writer, typed)
+    os.close(writer)
+    with stdin_from(reader):
+        assert call(["mission", "sign", "m.json", *KEY, *SITE, "--out", "m.token"]) == code
+    assert Path("m.token").exists() == (code == 0)
+    if code == 0:
+        assert json.loads(Path("m.confirmation.json").read_text())["how"] == "script"
+
+
+def test_a_key_that_nobody_vouches_for_must_at_least_claim_to_be_the_issuer_s(
+    shell: Shell,
+) -> None:
+    compiled(shell)
+    Path("mine").mkdir()
+    given = ["mission", "sign", "m.json", *SITE, "--out", "m.token", "--yes"]
+    for name, reason in (("supervisor-1", "ROLE_DENIED"), ("safety-officer-1", "ISSUER_MISMATCH")):
+        for end in ("key", "cert"):
+            shutil.copy(f"trust/keys/{name}.{end}.pem", f"mine/{name}.{end}.pem")
+        own = ["--key", f"mine/{name}.key.pem", "--cert", f"mine/{name}.cert.pem"]
+        code, text = shell(*given, *own)
+        assert (code, reason in text) == (1, True)
+        assert not Path("m.token").exists()
+        assert not Path("m.confirmation.json").exists()
 
 
 def test_an_activation_takes_the_confirmation_into_the_log(shell: Shell) -> None:

@@ -19,7 +19,7 @@ import worlds
 from authguard_r.cli.draft import check_draft, draft_schema, read_reply
 from authguard_r.compile.answers import compile_plain
 from authguard_r.compile.card import review
-from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.errors import ClarificationError, EnvironmentFault, MalformedError
 from authguard_r.drafting.chat import MAX_REPLY, AnthropicChat, OpenAIChat, Reach
 from authguard_r.drafting.models import AnthropicProposer, OpenAIProposer, parse_free_text
 
@@ -79,9 +79,16 @@ def proposer(kind: str, server: HTTPServer, **changes: Any) -> Any:
     return made(**{**fields, **changes})
 
 
-def ask(kind: str, server: HTTPServer, sentence: str = SENTENCE, **changes: Any) -> Any:
+def ask(
+    kind: str,
+    server: HTTPServer,
+    sentence: str = SENTENCE,
+    settled: dict[str, str] | None = None,
+    robot: str | None = "courier-1",
+    **changes: Any,
+) -> Any:
     return proposer(kind, server, **changes).propose(
-        sentence, worlds.site(), robot="courier-1", settled={"issuer": "operator-1"}
+        sentence, worlds.site(), robot=robot, settled={"issuer": "operator-1", **(settled or {})}
     )
 
 
@@ -275,6 +282,71 @@ def test_a_sentence_that_asks_the_model_for_more_gets_a_draft_whose_card_shows_i
     assert "isolation-room" in card
     assert "1000" in card
     assert sentence in card
+
+
+LIMITS = {"speed_mm_s": ["0.1 m/s", "0.4 m/s"]}
+
+
+@pytest.mark.parametrize(
+    ("settled", "changes"),
+    [
+        ({"window": "5 min"}, {"window": {"for": "9000 h"}}),
+        ({"window": "5 min"}, {"window": {"for": "5 min", "expiry": "2030-01-01T00:00:00Z"}}),
+        ({"window": "5 min"}, {"window": None}),
+        ({"window": "2026-01-01T10:30:00Z"}, {"window": {"for": "5 min"}}),
+        ({"window.expiry": "2026-01-01T10:30:00Z"}, {"window": {"for": "5 min"}}),
+        ({"window.for": "5 min"}, {"window": {"for": "5 min", "expiry": "2030-01-01T00:00:00Z"}}),
+        ({"window.not_before": "2026-01-01T11:00:00Z"}, {"window": {"for": "5 min"}}),
+        ({"robot": "courier-1"}, {"robot": "lifter-1"}),
+        ({"mission": "round-1"}, {"mission": "round-2"}),
+        ({"object": "package-p2"}, {}),
+        ({"step2.destination": "office-1"}, {}),
+        ({"limits.speed_mm_s": "0.3 m/s"}, {"limits": LIMITS}),
+        ({"speed": "0.3 m/s"}, {"limits": LIMITS}),
+        ({"budgets.motion": "5 min"}, {"budgets": {"motion": "6 min", "waiting": "5 min"}}),
+        ({"data.store": "no"}, {"grants": [{"id": "a", "data": {"store": True}}]}),
+    ],
+)
+def test_a_model_never_overrules_an_answer(
+    settled: dict[str, str], changes: dict[str, Any], httpserver: HTTPServer
+) -> None:
+    """What the operator settled stands in the draft, or there is no draft."""
+    answers("openai", httpserver, json.dumps(draft(**changes)))
+    with pytest.raises(MalformedError, match="that was given") as refused:
+        ask("openai", httpserver, settled=settled, robot=None)
+    assert refused.value.where == f"reply.{next(iter(settled))}"
+
+
+@pytest.mark.parametrize(
+    ("settled", "changes"),
+    [
+        ({"window": "5 min"}, {"window": {"for": "300 s"}}),
+        ({"window": "2026-01-01T10:30:00Z"}, {"window": {"expiry": "2026-01-01T10:30:00Z"}}),
+        ({"robot": "courier-1"}, {}),
+        ({"object": "package-p1", "destination": "station-101"}, {}),
+        ({"step2.limits.speed_mm_s": "40 cm/s"}, {"limits": LIMITS}),
+        ({"speed": "0.4 m/s"}, {"limits": LIMITS}),
+        ({"data.store": "no"}, {"grants": [{"id": "a", "data": {"store": False}}]}),
+        ({"budgets.prompts": "3"}, {"budgets": {"prompts": 3}}),
+    ],
+)
+def test_a_model_that_keeps_the_answers_is_heard(
+    settled: dict[str, str], changes: dict[str, Any], httpserver: HTTPServer
+) -> None:
+    answers("openai", httpserver, json.dumps(draft(**changes)))
+    assert ask("openai", httpserver, settled=settled, robot=None).draft == draft(**changes)
+
+
+def test_a_decimal_of_a_model_is_text_whose_unit_the_compiler_asks_for(
+    httpserver: HTTPServer,
+) -> None:
+    budgets = {**worlds.draft()["budgets"], "motion": 0.8}
+    answers("openai", httpserver, json.dumps(draft(budgets=budgets)))
+    made = ask("openai", httpserver)
+    assert made.draft["budgets"]["motion"] == "0.8"
+    with pytest.raises((ClarificationError, MalformedError)) as open_:
+        compile_plain(made.draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
+    assert "budgets.motion" in open_.value.where
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,7 +10,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from authguard_r.compile.answers import read_answer
-from authguard_r.core.errors import ClarificationError, MalformedError
+from authguard_r.core.errors import ClarificationError, MalformedError, shown
 
 T = TypeVar("T")
 AnswerOption = Annotated[
@@ -27,14 +27,23 @@ def may_ask(*, as_json: bool, no_input: bool) -> bool:
     return not as_json and not no_input and sys.stdin.isatty()
 
 
-def confirm_shown(lines: list[str], question: str, *, as_json: bool) -> None:
-    """Return once a person who was shown the lines said yes.
+def confirm_shown(lines: list[str], question: str, *, as_json: bool) -> bool:
+    """Return, once the lines were shown and the answer was yes, whether a person gave it.
+
+    A `y` that comes through a pipe is a script's, whoever wrote the script.
 
     Raises:
         typer.Abort: no, or standard input ended.
     """
-    typer.echo("\n".join(lines), err=as_json)
+    for line in lines:
+        typer.echo(_printed(line), err=as_json)
     typer.confirm(question, abort=True, err=as_json)
+    return sys.stdin.isatty()
+
+
+def _printed(lines: str) -> str:
+    """Return text without control characters; nothing is cut, and line breaks stay."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in lines)
 
 
 def ask_until(job: Callable[[dict[str, object]], T], answers: dict[str, object]) -> T:
@@ -62,7 +71,7 @@ def ask_until(job: Callable[[dict[str, object]], T], answers: dict[str, object])
             wrong = [field for field in said if place.startswith(field)]
             if not wrong:
                 raise
-            typer.echo(f"{error.message} (at {place})", err=True)
+            typer.echo(shown(f"{error.message} (at {place})"), err=True)
             for field in wrong:
                 del said[field]
 
@@ -73,9 +82,9 @@ def prompt(asked: ClarificationError) -> object:
     Raises:
         typer.Abort: standard input ended.
     """
-    typer.echo(f"{asked.question} ({asked.field})", err=True)
+    typer.echo(shown(f"{asked.question} ({asked.field})"), err=True)
     for number, candidate in enumerate(asked.candidates, 1):
-        typer.echo(f"  {number}) {candidate}", err=True)
+        typer.echo(shown(f"  {number}) {candidate}"), err=True)
     while True:
         typer.echo("> ", nl=False, err=True)
         line = sys.stdin.readline()

@@ -14,8 +14,8 @@ import yaml
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, may_ask
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.out import emit
+from authguard_r.core.errors import MalformedError, shown
 from authguard_r.compile.draft import Draft
-from authguard_r.core.errors import MalformedError
 from authguard_r.drafting.profile import read_profile
 from authguard_r.drafting.proposal import Proposal, Proposer, Question, clarification
 from authguard_r.drafting.template import TemplateProposer
@@ -70,7 +70,8 @@ def draft_command(
         proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
         if not proposal.questions:
             break
-        if not asks:
+        again = any(question.field in settled for question in proposal.questions)
+        if not asks or again:  # no answer settles what was answered and is asked again
             raise clarification(proposal.questions)
         settled |= {question.field: _prompt(question) for question in proposal.questions}
     return _show(proposal, out, as_json=as_json)
@@ -96,8 +97,8 @@ def _show(proposal: Proposal, out: Path | None, *, as_json: bool) -> int:
 
 
 def _one_line(text: str) -> str:
-    """Return text that cannot leave its comment line."""
-    return " ".join(text.split())
+    """Return text that cannot leave its comment line, nor speak to a terminal."""
+    return shown(" ".join(text.split()))
 
 
 def _answers(given: list[str]) -> dict[str, str]:
@@ -119,16 +120,21 @@ def _answers(given: list[str]) -> dict[str, str]:
 
 def _prompt(question: Question) -> str:
     """Return a person's answer, by number or in words; an empty one is asked for again."""
-    typer.echo(f"{question.question} ({question.field})", err=True)
+    _tell(f"{question.question} ({question.field})")
     for number, candidate in enumerate(question.candidates, 1):
-        typer.echo(f"  {number}) {candidate}", err=True)
+        _tell(f"  {number}) {candidate}")
     while True:
         said = str(typer.prompt("answer", err=True)).strip()
         if said.isdecimal() and said.isascii() and 1 <= int(said) <= len(question.candidates):
             return question.candidates[int(said) - 1]
         if said and (not question.candidates or said in question.candidates):
             return said
-        typer.echo(f"expected one of {', '.join(question.candidates)}", err=True)
+        _tell(f"expected one of {', '.join(question.candidates)}")
+
+
+def _tell(line: str) -> None:
+    """Print a line for a person; a model may have chosen its words, and its control characters."""
+    typer.echo(shown(line), err=True)
 
 
 def _model(

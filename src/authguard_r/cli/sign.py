@@ -30,7 +30,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
-from authguard_r.keys.certificate import Leaf
+from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_trust
 
@@ -82,12 +82,11 @@ def sign_command(
         return _refused(reading, open_errors, as_json=as_json)
     if site is None:
         warn(f"no card was shown, and the confirmation says so; {_NO_SITE}")
-    if not yes:
-        confirm_shown(reading.lines(), "Sign exactly this?", as_json=as_json)
+    person = not yes and confirm_shown(reading.lines(), "Sign exactly this?", as_json=as_json)
     confirmation = confirm(
         opened,
         card=card_digest(reading.card) if reading.card else None,
-        how=How.SCRIPT if yes else How.INTERACTIVE,
+        how=How.INTERACTIVE if person else How.SCRIPT,
         accepted=accepted,
         now=wall_now(None),
     )
@@ -123,14 +122,20 @@ def _trust_folder(trust: Path | None, cert: Path) -> Path | None:
 def _require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -> None:
     """Refuse a key that every gate would refuse; a signature by the wrong person is no mission.
 
+    Without a trust folder nobody knows whose key it is, but a certificate that does not even claim
+    to be the issuer's is refused all the same.
+
     Raises:
-        AuthenticityError: the certificate does not hold under the trust root.
+        AuthenticityError: the certificate does not hold under the trust root, or claims nothing.
         RefusedError: it is of a role that issues no missions, or of somebody else.
     """
     if folder is None:
         warn("whose key it is was not checked; name the trust folder with --trust")
-        return
-    leaf: Leaf = read_trust(folder).identify(signer.chain, wall_now(None))
+    leaf: Leaf | LeafClaims = (
+        read_claims(signer.chain[0])
+        if folder is None
+        else read_trust(folder).identify(signer.chain, wall_now(None))
+    )
     if leaf.role not in ISSUER_ROLES:
         raise RefusedError(
             f"expected a signer in a role of {sorted(ISSUER_ROLES)}, got `{leaf.role}`",

@@ -72,7 +72,7 @@ def _grant(grant: Grant, site: Site) -> Iterator[str]:
     every = ": every row, also one that an attacker picks" * (grant.chooser == "planner")
     yield f"    chosen by: {grant.chooser}{every}"
     for item in grant.limits:
-        yield f"    {spoken.limit(item, site)}"
+        yield f"    {spoken.limit(item, site, grant.type)}"
     for guard in grant.guards:
         yield f"    only while {spoken.condition(guard)}"
     if grant.after:

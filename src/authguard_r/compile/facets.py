@@ -13,6 +13,7 @@ from enum import IntEnum
 from msgspec import Struct
 
 from authguard_r.compile import spoken
+from authguard_r.core.identifiers import ActionType
 from authguard_r.core.mission import Closing, Grant, Guard, Limit, Mission, RiskPolicy
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.quantities import to_ms
@@ -194,7 +195,7 @@ def _grant(grant: Grant, site: Site) -> Iterator[Named]:
             Facet(owner=owner, label=grant.type, value=text, presence=Bears.WIDENS, is_row=True),
         )
     yield _there(owner, "with tool", grant.tool, Bears.WIDENS)
-    yield from _limits(owner, grant.limits, site, Bears.WIDENS)
+    yield from _limits(owner, grant.limits, site, Bears.WIDENS, grant.type)
     yield from _conditions(grant)
     by_planner = int(grant.chooser is Chooser.PLANNER)
     yield _sized(owner, "chosen by", grant.chooser, by_planner, Bears.WIDENS)
@@ -223,9 +224,15 @@ def _conditions(grant: Grant) -> Iterator[Named]:
         yield _there(grant.id, "counts as done when", spoken.condition(guard), Bears.NEITHER)
 
 
-def _limits(owner: str, limits: tuple[Limit, ...], site: Site, presence: Bears) -> Iterator[Named]:
+def _limits(
+    owner: str,
+    limits: tuple[Limit, ...],
+    site: Site,
+    presence: Bears,
+    kind: ActionType | None = None,
+) -> Iterator[Named]:
     for item in limits:
-        unit = spoken.unit_of(item.parameter, site)
+        unit = spoken.unit_of(item.parameter, site, kind)
         for label, value, more in (
             (f"{item.parameter} at least", item.low, Bears.NARROWS),
             (f"{item.parameter} at most", item.high, Bears.WIDENS),

@@ -16,6 +16,7 @@ from authguard_r.compile.draft import DraftGrant, DraftGuard, DraftRow, Quantity
 from authguard_r.compile.names import OBJECT, REGION, Names, unknown
 from authguard_r.compile.path import quiet_path
 from authguard_r.compile.questions import Questions
+from authguard_r.compile.spoken import site_units
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId, RegionId, RobotId
 from authguard_r.core.mission import MAX_ROWS, Comparison
@@ -74,7 +75,9 @@ def build_grant(grant: DraftGrant, place: str, words: Words) -> dict[str, Any]:
         "alternatives": [
             _row(row, f"{place}.rows[{n}]", grant, model, words) for n, row in enumerate(rows)
         ],
-        "limits": build_limits(grant.limits, words, f"{place}.limits"),
+        "limits": []
+        if model is None or grant.type is None  # units hang on the type
+        else build_limits(grant.limits, words, f"{place}.limits", ActionType(grant.type)),
     }
     if model is not None:
         _require_limits(grant, place, model, words)
@@ -203,16 +206,25 @@ def _irreversible(grant: DraftGrant, place: str, asked: Questions) -> bool | Non
 
 
 def build_limits(
-    limits: dict[str, tuple[Quantity, Quantity]], words: Words, place: str
+    limits: dict[str, tuple[Quantity, Quantity]],
+    words: Words,
+    place: str,
+    kind: ActionType | None = None,
 ) -> list[dict[str, Any]]:
     """Return limits in the units of the site's parameters, sorted.
+
+    Args:
+        limits: as their author wrote them.
+        words: what they are read with.
+        place: their draft path.
+        kind: the type of the grant that they are of; None for the whole mission's.
 
     Raises:
         MalformedError: no such parameter, or no such quantity.
     """
     plain = []
     for name, pair in sorted(limits.items()):
-        unit = unit_of_limit(name, words, f"{place}.{name}")
+        unit = unit_of_limit(name, words, f"{place}.{name}", kind)
         low, high = (
             words.asked.integer(bound, unit, field=f"{place}.{name}[{n}]")
             for n, bound in enumerate(_alike(*pair))
@@ -231,18 +243,21 @@ def _alike(low: Quantity, high: Quantity) -> tuple[Quantity, Quantity]:
     return low, high
 
 
-def unit_of_limit(name: str, words: Words, where: str) -> str:
-    """Return the unit of a parameter of the site's vocabulary.
+def unit_of_limit(name: str, words: Words, where: str, kind: ActionType | None = None) -> str:
+    """Return the unit of a parameter: its type's own, else the one that all types agree on.
 
     Raises:
-        MalformedError: no type has such a parameter.
+        MalformedError: no type has such a parameter, or types give it different units: one number
+            would then bound them differently.
     """
-    for model in words.site.vocabulary.values():
-        parameter = model.params.get(ParameterId(name))
-        if parameter is not None:
-            return parameter.unit
-    known = {item for model in words.site.vocabulary.values() for item in model.params}
-    raise unknown(name, "parameter", known, where=where)
+    units = site_units(ParameterId(name), words.site, kind)
+    if not units:
+        known = {item for model in words.site.vocabulary.values() for item in model.params}
+        raise unknown(name, "parameter", known, where=where)
+    if len(units) > 1:
+        message = f"expected one unit for `{name}` at this site, got {', '.join(units)}"
+        raise MalformedError(message, where=where)
+    return units[0]
 
 
 def build_guards(guards: Iterable[DraftGuard], place: str, words: Words) -> list[dict[str, Any]]:

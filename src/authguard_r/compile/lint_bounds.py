@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from authguard_r.compile import spoken
 from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
 from authguard_r.compile.lint_scope import Rule
+from authguard_r.compile.worst import reach
 from authguard_r.core.checks.grant import MAX_BYTES
-from authguard_r.core.mission import Grant, Limit
+from authguard_r.core.mission import Grant
 from authguard_r.core.quantities import to_ms
 from authguard_r.site.model import ActionModel
 
@@ -129,11 +130,11 @@ def beyond_profile(scene: Scene) -> Iterator[LintFinding]:
     for number, grant, model in _known(scene):
         for index, item in enumerate(grant.limits):
             known = model.params.get(item.parameter)
-            if known is not None and _reach(item) > most.get(known.unit, _reach(item)):
+            if known is not None and reach(item) > most.get(known.unit, reach(item)):
                 yield error(
                     Code.BEYOND_PROFILE,
                     f"actions[{number}].limits[{index}]",
-                    f"`{grant.id}` allows {spoken.quantity(_reach(item), known.unit)}; the robot "
+                    f"`{grant.id}` allows {spoken.quantity(reach(item), known.unit)}; the robot "
                     f"can do {spoken.quantity(most[known.unit], known.unit)}",
                     "lower the bound to what the robot can do",
                 )
@@ -148,10 +149,6 @@ def beyond_profile(scene: Scene) -> Iterator[LintFinding]:
                     f"{spoken.quantity(profile.max_payload_g, 'g')}",
                     "use another robot, or leave the object out",
                 )
-
-
-def _reach(item: Limit) -> int:
-    return max(abs(item.low), abs(item.high))
 
 
 def _known(scene: Scene) -> Iterator[tuple[int, Grant, ActionModel]]:

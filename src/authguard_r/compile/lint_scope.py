@@ -9,7 +9,7 @@ from authguard_r.compile import wording
 from authguard_r.compile.conditions import real_guards
 from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
 from authguard_r.compile.path import SENSITIVE_TAGS
-from authguard_r.compile.worst import worst_risk
+from authguard_r.compile.worst import reach, worst_risk
 from authguard_r.core.facts import ActionKind
 from authguard_r.core.identifiers import RegionId
 from authguard_r.core.mission import Grant, Guard, Mission
@@ -147,19 +147,27 @@ def _unspoken(where: str, what: str, grant: Grant) -> LintFinding:
 
 
 def through_sensitive(scene: Scene) -> Iterator[LintFinding]:
-    """A way through a private, restricted or hazardous region is granted only by name."""
+    """A way through a private, restricted or hazardous region is granted on purpose.
+
+    A word in the task grants nothing: a region that the task asks for is still shown, and one that
+    it names only to forbid it ("never go through Office 1") is as if nobody had named it.
+    """
+    asked = wording.affirmed(scene.mission.task)
     for number, grant in enumerate(scene.mission.actions):
         for index, row in enumerate(grant.alternatives):
             for region in row.regions:
                 tags = _sensitive_tags(region, scene)
-                spoken = wording.mentions(scene.task, wording.region_names(region, scene.site))
-                if not tags or region in {row.source, row.destination} or spoken:
+                if not tags or region in {row.source, row.destination}:
                     continue
-                yield error(
+                spoken = wording.mentions(asked, wording.region_names(region, scene.site))
+                judge = warning if spoken else error
+                yield judge(
                     Code.THROUGH_SENSITIVE,
                     f"actions[{number}].alternatives[{index}].regions",
                     f"`{grant.id}` may pass through `{region}` ({', '.join(tags)})",
-                    "leave the region out, or name it in the task",
+                    "leave the region out"
+                    if spoken
+                    else "leave the region out, or ask for it in the task",
                 )
 
 
@@ -196,7 +204,7 @@ def _is_sensitive(grant: Grant, scene: Scene) -> bool:
         return True
     most = scene.site.robots[scene.mission.rid].profile.max_force_mn
     for item in grant.limits:
-        forceful = item.high * 100 >= most * scene.measures.forceful_percent
+        forceful = reach(item) * 100 >= most * scene.measures.forceful_percent
         if item.parameter.startswith("force_") and forceful:
             return True
     return any(

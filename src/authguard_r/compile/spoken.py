@@ -6,7 +6,7 @@ Two values that differ never read alike, and no text of a mission can pass for a
 
 from __future__ import annotations
 
-from authguard_r.core.identifiers import ParameterId, RegionId
+from authguard_r.core.identifiers import ActionType, ParameterId, RegionId
 from authguard_r.core.mission import Comparison, Guard, Limit, Row
 from authguard_r.site.model import Site
 
@@ -31,6 +31,8 @@ _ENDINGS = (
     ("_ms", "ms"),
     ("_g", "g"),
 )
+#: Stands where a unit would, so that no reader takes one type's unit for all.
+_DISAGREEING = "in each type's own unit"
 _BYTES = (("GB", 9), ("MB", 6), ("kB", 3))
 _COMPARED = {
     Comparison.EQ: "is",
@@ -67,9 +69,15 @@ def duration(value: int) -> str:
     return "-" * (value < 0) + " ".join(parts)
 
 
-def limit(item: Limit, site: Site) -> str:
-    """Return bounds: `speed_mm_s from 0.05 m/s to 0.8 m/s`."""
-    unit = unit_of(item.parameter, site)
+def limit(item: Limit, site: Site, kind: ActionType | None = None) -> str:
+    """Return bounds: `speed_mm_s from 0.05 m/s to 0.8 m/s`.
+
+    Args:
+        item: the bounds, in the unit of the grant's type.
+        site: gives the parameter its unit.
+        kind: the type of the grant that they are of; None for bounds of the whole mission.
+    """
+    unit = unit_of(item.parameter, site, kind)
     return f"{item.parameter} from {quantity(item.low, unit)} to {quantity(item.high, unit)}"
 
 
@@ -127,13 +135,28 @@ def quoted(text: str) -> str:
     return f'"{"".join(marks)}"'
 
 
-def unit_of(parameter: ParameterId, site: Site) -> str:
-    """Return a parameter's unit at this site; a bare number when it has none here."""
-    for kind in site.vocabulary.values():
-        model = kind.params.get(parameter)
-        if model is not None:
-            return model.unit
-    return "count"
+def unit_of(parameter: ParameterId, site: Site, kind: ActionType | None = None) -> str:
+    """Return a parameter's unit at this site; a bare number when it has none here.
+
+    Args:
+        parameter: its id.
+        site: whose vocabulary is read.
+        kind: the type that the value is of; None for what holds for every type. Types that
+            disagree then give the number no unit of its own, and it is shown as it is signed.
+    """
+    units = site_units(parameter, site, kind)
+    return units[0] if len(units) == 1 else _DISAGREEING if units else "count"
+
+
+def site_units(
+    parameter: ParameterId, site: Site, kind: ActionType | None = None
+) -> tuple[str, ...]:
+    """Return the units that a parameter may have: its type's own, else every type's, sorted."""
+    own = site.vocabulary.get(kind) if kind is not None else None
+    if own is not None and parameter in own.params:
+        return (own.params[parameter].unit,)
+    models = (model.params.get(parameter) for model in site.vocabulary.values())
+    return tuple(sorted({model.unit for model in models if model is not None}))
 
 
 def tags_of(region: RegionId, site: Site) -> tuple[str, ...]:

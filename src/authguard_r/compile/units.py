@@ -14,12 +14,14 @@ from functools import cache
 from typing import Any
 
 from authguard_r.compile.draft import Quantity
+from authguard_r.compile.spoken import quantity
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.identifiers import MAX_INTEGER
 
 #: What people write for a target unit; offered when a number comes without one.
 _SPELLED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("ms", ("s", "min", "h")),
+    ("millikelvin", ("K",)),
     ("mm/s", ("m/s", "km/h")),
     ("mm", ("m", "cm")),
     ("mN", ("N",)),
@@ -68,9 +70,15 @@ def _scaled(number: str, spelled: str, unit: str, where: str) -> int:
         exact = Fraction(number)
     except ZeroDivisionError as error:
         raise MalformedError(f"expected a number and a unit, got `{shown}`", where=where) from error
-    scaled = exact * _factor(spelled, unit, where)
+    zero, scaled = (_converted(n, spelled, unit, where) for n in (Fraction(0), exact))
     if scaled.denominator != 1:
         raise MalformedError(f"`{shown}` is no whole number of {unit}", where=where)
+    if zero:  # 22 degC is 295.15 K as a point on the scale and 22 K as a difference
+        raise MalformedError(
+            f"expected a unit that counts from zero, got `{shown}`; as a point on its scale it is "
+            f"`{quantity(scaled.numerator, unit)}`",
+            where=where,
+        )
     return scaled.numerator
 
 
@@ -78,12 +86,12 @@ def _spellings(unit: str) -> tuple[str, ...]:
     return (*dict(_SPELLED).get(unit, ()), unit)
 
 
-def _factor(spelled: str, unit: str, where: str) -> Fraction:
-    """Return how many `unit` one `spelled` is, exactly."""
+def _converted(number: Fraction, spelled: str, unit: str, where: str) -> Fraction:
+    """Return how many `unit` so many `spelled` are, exactly."""
     registry = _registry()
     try:
-        one = registry.Quantity(Fraction(1), registry.parse_units(spelled))
-        return Fraction(one.to(registry.parse_units(unit)).magnitude)
+        given = registry.Quantity(number, registry.parse_units(spelled))
+        return Fraction(given.to(registry.parse_units(unit)).magnitude)
     except Exception as error:
         raise MalformedError(
             f"expected a quantity in {unit} or like it, got `{spelled}`", where=where

@@ -14,6 +14,13 @@ from authguard_r.core.identifiers import ObjectId, RegionId
 from authguard_r.site.model import Site
 
 _WORD = re.compile(r"\w+")
+_SENTENCE_END = re.compile(r"[.!?](?=\s|$)")
+#: What makes a sentence forbid something; in doubt it does, for that only costs a signer a look.
+_DENIAL = re.compile(
+    r"\b(?:no|not|never|neither|nor|none|nowhere|cannot|without|unless|except|excluding|avoid\w*"
+    r"|bypass\w*|skip\w*|forbid\w*|forbidden|prohibit\w*|off\W+limits|clear\s+of|away|out\s+of|outside"
+    r"|instead\s+of|rather\s+than|around|dont|\w+n\Wt)\b"
+)
 #: Verbs and nouns that ask for an action type; a type that is not here is asked for by its own id.
 _ASKING: dict[str, str] = {
     "announce": "announce say speak tell call",
@@ -40,6 +47,20 @@ _RIGHTS: dict[str, str] = {
 def words_of(text: str) -> tuple[str, ...]:
     """Return the words of a text, case folded."""
     return tuple(_WORD.findall(text.casefold().replace("_", " ")))
+
+
+def affirmed(task: str) -> tuple[str, ...]:
+    """Return the words of the sentences that forbid nothing.
+
+    What a sentence forbids ends with the sentence, not with a comma: "never go through Office 1,
+    Office 2" forbids both. Where one is left out stands an empty word, which no name holds, so
+    that the words around it make no name together.
+    """
+    kept: list[str] = []
+    for sentence in _SENTENCE_END.split(task):
+        denied = _DENIAL.search(sentence.casefold().replace("_", " ")) is not None
+        kept += [""] if denied else words_of(sentence)
+    return tuple(kept)
 
 
 def mentions(task: tuple[str, ...], names: Iterable[str]) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How risky a row can get at all: at its upper bounds, through every region it may touch.
+"""How risky a row can get at all: at its farthest bounds, through every region it may touch.
 
 Read by the lint and the card. What nobody can attest counts as risky, as in `core.risk`.
 Source: `eq:threshold`. Spec page: docs/spec/lint.md
@@ -10,7 +10,7 @@ from __future__ import annotations
 from authguard_r.core.action import Action
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.mission import Grant, Mission, Row
+from authguard_r.core.mission import Grant, Limit, Mission, Row
 from authguard_r.core.quantities import Now
 from authguard_r.core.risk import rho
 from authguard_r.site.model import Site, facts_of
@@ -24,6 +24,11 @@ def facts_for(mission: Mission, site: Site) -> SiteFacts | None:
         return None
 
 
+def reach(limit: Limit) -> int:
+    """Return how far from zero the bounds let a parameter get: backwards is as fast."""
+    return max(abs(limit.low), abs(limit.high))
+
+
 def worst_risk(mission: Mission, grant: Grant, row: Row, facts: SiteFacts) -> int:
     """Return the greatest rho of any action that the row allows."""
     action = Action(
@@ -33,6 +38,6 @@ def worst_risk(mission: Mission, grant: Grant, row: Row, facts: SiteFacts) -> in
         source=row.source,
         destination=row.destination,
         route=row.regions,
-        params={limit.parameter: limit.high for limit in grant.limits},
+        params={limit.parameter: reach(limit) for limit in grant.limits},
     )
     return rho(action, mission.risk_policy, state=None, facts=facts, now=Now(0, 0))

@@ -193,12 +193,6 @@ LEFT_OPEN: tuple[tuple[str, ...], ...] = tuple(
         "with the lid open",
     )
 )
-#: Words that take back or limit what was said; leaving one out would widen the sentence.
-LIMITING = _words(
-    "not no never none nothing nor don't doesn't cannot can't without unless except but only "
-    "instead avoid avoiding if when while until till after before once as or either least faster "
-    "within ensure ensuring prevent preventing requirement must"
-)
 #: A part of a thing that stands for the thing: `close the door` of the one thing that has one.
 PARTS = frozenset({"door", "lid"})
 #: Manners that the profile turns into tighter bounds; no manner ever loosens one.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Words that no step used: one question for each slot that they could change.
 
-A word that turns a sentence round or limits it cannot be left out: what remains would grant what
-was held back.
+Only words that are known to be harmless can be left out: without any other, what remains could
+grant what was held back.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from msgspec import Struct, field
 
 from authguard_r.drafting.asking import Asking
+from authguard_r.drafting.restraint import harmless
 
 LEAVE_OUT = "leave it out"
 #: Slots where an answer names the thing or the quantity, whatever else was said about it.
@@ -64,13 +65,16 @@ class Leftovers:
                 why = "what limits the sentence is not understood: say it otherwise"
                 self._asking.insist(name, f"{words}: {why}")
             elif not self._asking.asked(name):
-                self._leave_out(name, words, fault)
+                self._settle(name, slot, words, fault)
             elif slot.said and name.rpartition(".")[2].rstrip("0123456789") in _NAMING:
                 self._asking.widen(name, fault)
             else:
-                self._leave_out(self._vacant(name), words, fault)
+                self._settle(self._vacant(name), slot, words, fault)
 
-    def _leave_out(self, name: str, words: str, fault: str) -> None:
+    def _settle(self, name: str, slot: _Slot, words: str, fault: str) -> None:
+        if not all(map(harmless, slot.words)):
+            self._asking.insist(name, f"{fault}: say it otherwise")
+            return
         question = f"{fault}: leave it out or say it otherwise"
         if self._asking.ask(name, question, (LEAVE_OUT,)) is not None:
             self._asking.assume(name, f"{words} left out", "answered")

@@ -68,8 +68,13 @@ class Limits:
             now_ms: the instant of drafting; `at 2` may be a time after it.
         """
         begin = None
+        asked: set[str] = set()
         for meant, digits in clause.bare:
             slot, units = _SPELLED[meant]
+            if slot in asked:
+                self._second(clause, slot, digits)
+                continue
+            asked.add(slot)
             question = f"`{digits}` has no unit: which {meant} is meant?"
             options = tuple(f"{digits} {unit}" for unit in units)
             if meant == "at":
@@ -78,10 +83,16 @@ class Limits:
             answer = self._asking.ask(field_of(clause, slot), question, options)
             if answer is not None and "T" in answer:
                 begin = answer
+            elif answer is not None and measure(answer).dimension in clause.measures:
+                self._second(clause, slot, answer)
             elif answer is not None:
-                found = measure(answer)
-                clause.measures.setdefault(found.dimension, found)
+                clause.measures[measure(answer).dimension] = measure(answer)
         return begin
+
+    def _second(self, clause: Clause, slot: str, said: str) -> None:
+        """Ask about a second value of one quantity: neither is the sentence's last word."""
+        question = f"`{said}` is a second value of one quantity: say one of them only"
+        self._asking.insist(field_of(clause, slot), question)
 
     def unused(self, clause: Clause) -> tuple[tuple[str, str], ...]:
         """Return the quantities of a clause that bound nothing, each with its slot."""

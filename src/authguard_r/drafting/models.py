@@ -18,6 +18,7 @@ from msgspec import Struct
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.drafting.chat import AnthropicChat, Chat, OpenAIChat, Reach
+from authguard_r.drafting.answered import holds, printed
 from authguard_r.drafting.proposal import Proposal, Question
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
@@ -85,7 +86,7 @@ class ModelProposer(Struct, frozen=True):
             return Proposal({}, asked, self.chat.name)
         self.check(reply)
         _require_given(reply, sentence=sentence, robot=robot, settled=settled)
-        return Proposal(reply, (), self.chat.name)
+        return Proposal(printed(reply), (), self.chat.name)
 
 
 class FreeText(Struct, frozen=True):
@@ -227,9 +228,9 @@ def _require_given(
     Raises:
         MalformedError: with the field.
     """
-    given = {"task": sentence, "robot": robot, "issuer": settled.get("issuer")}
+    given = {"task": sentence, **({} if robot is None else {"robot": robot}), **settled}
     for field, value in given.items():
-        if value is not None and draft.get(field) != value:
+        if not holds(draft, field, value):
             raise MalformedError(
                 f"expected the `{field}` that was given",
                 where=f"reply.{field}",

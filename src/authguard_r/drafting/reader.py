@@ -19,6 +19,8 @@ from authguard_r.drafting.terms import take_condition, take_end, take_right, tak
 from authguard_r.drafting.tokens import Token
 
 _IMPLIED = frozenset({"in", "inside", "into"})
+_ENDS = frozenset({"", ".", "!", "?"})
+_LEADING = frames.CAREFUL | {"please", "kindly"}
 
 
 def read_sentence(
@@ -216,11 +218,26 @@ class _Reader:
         match = self._lexicon.match(self._here.tokens, self._here.at)
         if match is None or any(ref.sort is not Sort.ROBOT for ref in match.refs):
             return False
+        if self._preposition or self._listed(match.size):
+            return False  # it stands for a thing or a place, and is asked about as one
         self.said.robots += [ref.id for ref in match.refs]
         self._here.at += match.size
         self._behind_noun = self._here.at
-        self._preposition = ""
         return True
+
+    def _listed(self, size: int) -> bool:
+        """True for `and courier-1` that no verb follows: it goes on with a list of things."""
+        before = self._here.tokens[self._here.at - 1].low if self._here.at else ""
+        return self._clause is not None and before == "and" and not self._opens(size)
+
+    def _opens(self, offset: int) -> int:
+        """Return how many manners lead the verb that stands there, from 1; 0 without a verb."""
+        manners = 0
+        while self._here.low(offset + manners) in _LEADING:
+            manners += 1
+        words = [self._here.low(offset + manners + n) for n in range(frames.LONGEST_VERB)]
+        found = any(tuple(words[: n + 1]) in frames.VERBS for n in range(frames.LONGEST_VERB))
+        return manners + 1 if found else 0
 
     def _door(self) -> bool:
         """`the door of the pharmacy`, `the pharmacy door`: a door by what it leads to."""
@@ -309,9 +326,9 @@ class _Reader:
     def _detail(self) -> bool:
         """Manners, liquids, words of the frame, fillers and quotation marks."""
         word, clause = self._here.low(), self._clause
-        if clause is not None and word in frames.CAREFUL:
-            clause.careful = True
-        elif clause is not None and word in self._liquids and self._takes_liquid(clause):
+        if word in frames.CAREFUL:
+            return self._manner()
+        if clause is not None and word in self._liquids and self._takes_liquid(clause):
             clause.liquid, self._preposition = word, ""
             self._behind_noun = self._here.at + 1
         elif clause is not None and self._is_extra(clause, word):
@@ -323,8 +340,6 @@ class _Reader:
             self._preposition = ""
             self._behind_noun = self._here.at + 1
         elif not is_filler(self._here, fresh=self._fresh, behind=self._behind_noun):
-            if clause is None and word in frames.CAREFUL:
-                return self._careful_opening()
             return False
         self._here.at += 1
         return True
@@ -335,14 +350,20 @@ class _Reader:
             return False
         return word not in frames.ROLES or not self._next_is_phrase()
 
-    def _careful_opening(self) -> bool:
-        """`gently place ...`: the manner of the verb that follows."""
-        before, self._here.at = self._here.at, self._here.at + 1
-        if self._verb() and self._clause is not None:
-            self._clause.careful = True
-            return True
-        self._here.at = before
-        return False
+    def _manner(self) -> bool:
+        """`gently place ...`: the manner of the verb that follows; else of the clause it ends."""
+        clause, leads = self._clause, self._opens(0) if self._fresh else 0
+        if leads:
+            self._here.at += leads - 1
+            self._verb()
+            clause = self._clause
+        elif clause is None or (self._fresh and self._here.low(1) not in _ENDS):
+            return False  # `go there, gently, and put it down`: of which of the two?
+        else:
+            self._here.at += 1
+        if clause is not None:
+            clause.careful = True
+        return True
 
     def _takes_liquid(self, clause: Clause) -> bool:
         return clause.frame in {Frame.POUR, Frame.FILL} and clause.liquid is None

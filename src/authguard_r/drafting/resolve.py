@@ -12,10 +12,11 @@ from collections.abc import Iterable
 from authguard_r.drafting.asking import Asking
 from authguard_r.drafting.clauses import Clause, Phrase, Sentence, Way
 from authguard_r.drafting.doors import doors, doors_at, passages
-from authguard_r.drafting.frames import LIMITING, UNSETTLED
+from authguard_r.drafting.frames import UNSETTLED
 from authguard_r.drafting.leftovers import Leftovers
 from authguard_r.drafting.lexicon import Ref, Sort
 from authguard_r.drafting.profile import Profile
+from authguard_r.drafting.restraint import limits
 from authguard_r.drafting.strays import CONDITION, slot_of, slot_of_stray, words_of
 from authguard_r.site.model import Site
 
@@ -161,10 +162,10 @@ class Resolver:
 
     def unknown(self, clause: Clause | None, slot: str, text: str) -> None:
         """Keep words without a use here, to be asked about: a condition could hide in them."""
-        limits = LIMITING.intersection(text.lower().replace("\u2019", "'").split())
-        slot = CONDITION if limits else slot
+        limited = any(limits(word) for word in text.split())
+        slot = CONDITION if limited else slot
         field = slot if clause is None else field_of(clause, slot)
-        self._leftovers.add(field, text, limits=bool(limits))
+        self._leftovers.add(field, text, limits=limited)
 
     def finish(self) -> None:
         """Ask about everything that no step used, each at the slot that it could change."""

@@ -12,6 +12,7 @@ import msgspec
 from authguard_r.drafting import frames
 from authguard_r.drafting.clauses import Clause, Sentence, Stray
 from authguard_r.drafting.frames import Frame
+from authguard_r.drafting.restraint import limits
 from authguard_r.drafting.tokens import Token
 
 CONDITION = "condition"
@@ -58,10 +59,8 @@ class Strays:
             under: where the preposition stands that waits for its phrase; below 0 without one.
             label: the token behind; a colon there begins a requirement.
         """
-        low = token.low.replace("\u2019", "'")
-        limits = low in frames.LIMITING or label == ":"
-        self._limited = self._limited or limits
-        slot = CONDITION if self._limited else _slot_of_word(low, role)
+        self._limited = self._limited or limits(token.low) or label == ":"
+        slot = CONDITION if self._limited else _slot_of_word(token.low, role)
         end = token.at + len(token.text)
         number = 0 if clause is None else clause.number
         run = self._said.unknown[-1] if self._said.unknown else None
@@ -70,6 +69,7 @@ class Strays:
                 run.slot = slot
             if run.slot == slot:
                 run.end, run.limits = end, run.limits or self._limited
+                run.phrase = None  # one word behind a noun may be its label; more say something
                 return
         stray = Stray(token.at, end, number, role or "object", slot, self._limited, under)
         self._said.unknown.append(stray)

@@ -26,7 +26,7 @@ from authguard_r.drafting.plan import Plan, Step
 from authguard_r.drafting.profile import Profile
 from authguard_r.drafting.proposal import Proposal
 from authguard_r.drafting.reader import read_sentence
-from authguard_r.drafting.resolve import Resolver
+from authguard_r.drafting.resolve import Resolver, field_of
 from authguard_r.drafting.tokens import tokenize
 from authguard_r.drafting.window import window_of
 from authguard_r.site.model import Site
@@ -99,7 +99,11 @@ class TemplateProposer(Struct, frozen=True):
         return plan.steps, named
 
     def _clause(self, plan: Plan, clause: Clause, said: Sentence) -> None:
-        said.begin = plan.limits.settle(clause, now_ms=self.now_ms) or said.begin
+        begin = plan.limits.settle(clause, now_ms=self.now_ms)
+        if begin is not None and (said.begin is not None or said.start is not None):
+            question = f"`{begin}` is a second begin: say one of them only"
+            plan.asking.insist(field_of(clause, "at"), question)
+        said.begin = begin or said.begin
         before = len(plan.asking.questions)
         act(plan, clause)
         if len(plan.asking.questions) == before:

@@ -81,6 +81,18 @@ class Leaf(Struct, frozen=True, kw_only=True):
     not_after_ms: int
 
 
+class LeafClaims(Struct, frozen=True, kw_only=True):
+    """What a leaf certificate claims; nobody has vouched for it, and it authorizes nothing.
+
+    Args:
+        principal: whose it says it is.
+        role: what it says its holder may sign.
+    """
+
+    principal: PrincipalId
+    role: Role
+
+
 def build_root(key: Ed25519PrivateKey, *, name: str, now: datetime, days: int) -> x509.Certificate:
     """Return the self-signed root; `name` is what people see (a demo root says so)."""
     subject = _name(name)
@@ -181,6 +193,26 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
         key=key,
         not_after_ms=int(end.timestamp()) * 1000,
     )
+
+
+def read_claims(leaf_der: bytes) -> LeafClaims:
+    """Return what a leaf claims, without walking to any root: anybody can make such a leaf.
+
+    Good for refusing early what every gate would refuse, never for accepting. Dates, authority,
+    signature and revocation are not looked at.
+
+    Raises:
+        AuthenticityError: `CERTIFICATE_INVALID`: it claims no one principal in one role.
+    """
+    where = "certificate.leaf"
+    extensions = _require_profile(
+        load(leaf_der, where=where), ca=False, path_length=None, where=where
+    )
+    roles = _roles(extensions, where=where)
+    if len(roles) != 1:
+        raise _bad("expected one role", where)
+    principal = PrincipalId(_only(_uris(extensions), _PRINCIPAL))
+    return LeafClaims(principal=principal, role=next(iter(roles)))
 
 
 def is_demo(root: x509.Certificate) -> bool:

@@ -14,7 +14,7 @@ from msgspec import Struct
 from authguard_r.site.channels import channel_faults
 from authguard_r.site.model import ActionModel, Site
 from authguard_r.site.names import name_faults, shown, twin_faults
-from authguard_r.site.places import door_faults, hierarchy_faults, overlap_faults, region_faults
+from authguard_r.site.places import door_faults, region_faults
 from authguard_r.site.units import unit_fault
 
 #: What an import writes where only a person can say; a site that holds it is not signed.
@@ -34,8 +34,6 @@ def faults(site: Site) -> tuple[Fault, ...]:
         twin_faults,
         name_faults,
         region_faults,
-        hierarchy_faults,
-        overlap_faults,
         door_faults,
         _objects,
         _vocabulary,

@@ -309,10 +309,10 @@ def facts_of(site: Site, *, rid: RobotId, profile: Digest) -> SiteFacts:
 
 def ancestors(site: Site, region: RegionId) -> tuple[RegionId, ...]:
     """Return the regions that this one is within, nearest first; stops where a cycle closes."""
-    found: list[RegionId] = []
+    found: dict[RegionId, None] = {}
     model = site.regions.get(region)
     while model is not None and model.within is not None and model.within not in found:
-        found.append(model.within)
+        found[model.within] = None
         model = site.regions.get(model.within)
     return tuple(found)
 

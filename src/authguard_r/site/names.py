@@ -47,6 +47,9 @@ _PLAIN = str.maketrans({twin: letter for letter, twins in _LOOKS.items() for twi
 _SILENT = frozenset("_.:-\u2010\u2011\u2012\u2013\u2014\u2212")
 #: Longest stretch of a name that a message repeats.
 _SHOWN = 60
+#: Longest name, and most names of one thing: everything a planner reads is searched for each.
+MOST_CHARACTERS = 200
+MOST_NAMES = 64
 
 
 class Named(Struct, frozen=True):
@@ -135,9 +138,17 @@ def name_faults(site: Site) -> Iterator[tuple[str, str]]:
 
 
 def _spelling_faults(thing: Named) -> Iterator[tuple[str, str]]:
+    if len(thing.names) > MOST_NAMES:
+        yield (
+            f"{thing.group}.{thing.item}.names",
+            f"expected at most {MOST_NAMES} names, got {len(thing.names)}",
+        )
+        return
     for number, name in enumerate(thing.names):
         place = f"{thing.group}.{thing.item}.names[{number}]"
-        if not name.strip():
+        if len(name) > MOST_CHARACTERS:
+            yield place, f"expected at most {MOST_CHARACTERS} characters, got {len(name)}"
+        elif not name.strip():
             yield place, "expected a name that is not empty"
         elif name != name.strip():
             yield place, f"expected no space around `{shown(name)}`"

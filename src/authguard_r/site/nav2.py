@@ -40,12 +40,21 @@ from authguard_r.site.strict import convert, read_text, read_yaml
 #: Most cells of a map (100 m by 100 m at 5 cm), and most regions that become of it.
 MOST_CELLS = 4_000_000
 MOST_REGIONS = 500
+#: Most stretches of free cells, row by row; a surveyed floor of full size has a tenth.
+MOST_RUNS = 100_000
+#: How much of a plain picture is taken apart at once; a word is an object, a cell a byte.
+_CHUNK = 65_536
+#: Longest header, comments and all.
+_LONGEST_HEADER = 65_536
 #: A plain picture takes up to four characters a cell, and a header with comments.
-_MOST_BYTES = 4 * MOST_CELLS + 65_536
+_MOST_BYTES = 4 * MOST_CELLS + _LONGEST_HEADER
 _MAP = "map"
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(rb"(P[25])" + 3 * (_GAP + rb"([0-9]{1,6})") + rb"\s")
 _FREE = re.compile(b"\x01+")
+_SPACE = re.compile(rb"\s")
+#: Every spelling of a plain cell; a sign, a letter or a fourth digit makes it none.
+_SHADES = {f"{shade:0{digits}}".encode(): shade for digits in (1, 2, 3) for shade in range(256)}
 
 
 class _MapFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -91,14 +100,14 @@ def import_map(path: Path, *, site: Identifier, floor: int, min_area_mm2: int) -
     Raises:
         EnvironmentFault: a file cannot be read.
         MalformedError: not a map in mode `trinary` with an upright origin and a PGM image, too
-            large, or without free space; with the place.
+            large, too speckled, or without free space; with the place.
     """
     where = str(path)
     told = convert(read_yaml(read_text(path), where=where), _MapFile, where=where)
     grid = _grid(told, where)
     table = _table(told, where)
     image = _read_image(_image_path(path, told.image), where=f"{where}:image")
-    free = components(_free_rows(image, table))
+    free = components(_free_rows(image, table, where))
     least = Fraction(min_area_mm2) / (grid.cell * grid.cell)
     kept = [area for area in free if size_of(area) >= least]
     if not kept:
@@ -153,15 +162,24 @@ def _table(told: _MapFile, where: str) -> tuple[Fraction, bool]:
 def _image_path(path: Path, image: str) -> Path:
     """Return the image's path, resolved, once it lies below the map's folder.
 
-    A map from elsewhere must not have the importer open what its reader may see and it may not.
+    A map from elsewhere must not have the importer open what its reader may see and it may not. A
+    link that leads to itself lies nowhere.
     """
-    folder = path.resolve().parent
-    target = folder / image
-    if "\0" in image or not target.resolve().is_relative_to(folder):
-        raise MalformedError(
-            f"expected a path below the map's folder, got `{shown(image)}`", where=f"{path}:image"
-        )
-    return target.resolve()
+    try:
+        folder = path.resolve().parent
+        target = (folder / image).resolve()
+        below = target.is_relative_to(folder)
+    except (OSError, RuntimeError, ValueError) as error:  # a loop, a name too long, a zero byte
+        raise _elsewhere(path, image) from error
+    if not below:
+        raise _elsewhere(path, image)
+    return target
+
+
+def _elsewhere(path: Path, image: str) -> MalformedError:
+    return MalformedError(
+        f"expected a path below the map's folder, got `{shown(image)}`", where=f"{path}:image"
+    )
 
 
 def _read_image(path: Path, *, where: str) -> _Image:
@@ -177,7 +195,7 @@ def _read_image(path: Path, *, where: str) -> _Image:
             reason=Reason.STORE_UNAVAILABLE,
             where=where,
         ) from error
-    header = _HEADER.match(data)
+    header = _HEADER.match(data, 0, _LONGEST_HEADER)
     if header is None:
         raise MalformedError("expected a PGM image (P2 or P5)", where=where)
     width, height, most = (int(header[number]) for number in (2, 3, 4))
@@ -187,33 +205,52 @@ def _read_image(path: Path, *, where: str) -> _Image:
             f"and {most} shades",
             where=where,
         )
-    raster = data[header.end() :] if header[1] == b"P5" else _plain(data[header.end() :], where)
-    if len(raster) != width * height or max(raster) > most:
+    begin, cells = header.end(), width * height
+    raster = data[begin:] if header[1] == b"P5" else _plain(data, begin, cells, where)
+    if len(raster) != cells or max(raster) > most:
         raise MalformedError(
-            f"expected {width * height} cells from 0 to {most}, got {len(raster)}", where=where
+            f"expected {cells} cells from 0 to {most}, got {len(raster)}", where=where
         )
     return _Image(tuple(raster[row * width : (row + 1) * width] for row in range(height)), most)
 
 
-def _plain(text: bytes, where: str) -> bytes:
-    """Return the cells of a plain picture."""
-    try:
-        return bytes(
-            int(word) if word.isdigit() and len(word) < 4 else 256 for word in text.split()
-        )
-    except ValueError as error:
-        raise MalformedError("expected cells from 0 to 255 in plain digits", where=where) from error
+def _plain(data: bytes, begin: int, most: int, where: str) -> bytes:
+    """Return the cells of a plain picture, whose numbers begin at `begin`; a chunk over `most`."""
+    cells = bytearray()
+    while begin < len(data) and len(cells) <= most:
+        gap = _SPACE.search(data, begin + _CHUNK)  # no number is cut in two
+        end = gap.start() if gap else len(data)
+        try:
+            cells += bytes(map(_SHADES.__getitem__, data[begin:end].split()))
+        except KeyError as error:
+            raise MalformedError(
+                "expected cells from 0 to 255 in plain digits", where=where
+            ) from error
+        begin = end
+    return bytes(cells)
 
 
-def _free_rows(image: _Image, table: tuple[Fraction, bool]) -> dict[int, tuple[Run, ...]]:
-    """Return the runs of free cells, rows counted from the bottom as the map server does."""
+def _free_rows(
+    image: _Image, table: tuple[Fraction, bool], where: str
+) -> dict[int, tuple[Run, ...]]:
+    """Return the runs of free cells, rows counted from the bottom as the map server does.
+
+    They are counted before anything is made of them: a speckled picture of a few megabytes has
+    millions, and each costs as much as hundreds of its cells.
+    """
     free, negate = table
+    left = MOST_RUNS
     shades = range(256)
     occupancy = (Fraction(shade if negate else image.most - shade, image.most) for shade in shades)
     mask = bytes(value < free for value in occupancy)
     found: dict[int, tuple[Run, ...]] = {}
     for row, cells in enumerate(reversed(image.rows)):
         runs = tuple(match.span() for match in _FREE.finditer(cells.translate(mask)))
+        left -= len(runs)
+        if left < 0:
+            raise MalformedError(
+                f"expected at most {MOST_RUNS} stretches of free cells; smooth the map", where=where
+            )
         if runs:
             found[row] = runs
     return found

@@ -7,7 +7,7 @@ meant, the author says so with `within`. Spec page: docs/spec/site-model.md
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from msgspec import Struct
 
@@ -19,14 +19,26 @@ from authguard_r.site.shapes import (
     Side,
     contains,
     doubled_area,
+    effort,
     is_simple,
     overlap,
+    overlap_effort,
     shared_edges,
     side_of,
 )
 
 #: Most overlaps that one check tells.
 MOST_OVERLAPS = 100
+#: Most regions and doors of one site, and how deep a region may lie within others.
+MOST_REGIONS = 2_000
+MOST_DOORS = 4_000
+MOST_DEPTH = 16
+#: Most edges that are looked at to compare regions: a few seconds. A floor of a thousand
+#: rectangular rooms needs a hundredth.
+MOST_EFFORT = 2_000_000
+#: Most pairs of regions whose bounding boxes meet; five hundred regions have fewer.
+MOST_PAIRS = 150_000
+_TOO_INTRICATE = "expected fewer corners where regions are close; not compared further"
 
 
 class Neighbors(Struct, frozen=True, kw_only=True):
@@ -61,9 +73,31 @@ def adjacent(site: Site) -> tuple[Neighbors, ...]:
 
 
 def region_faults(site: Site) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong with the regions: each by itself, within others, and beside others.
+
+    What it costs is bounded, whatever somebody drew: a site of too many regions, nested too deep
+    or too intricate to compare is refused and not looked at further.
+    """
+    if len(site.regions) > MOST_REGIONS:
+        yield "regions", f"expected at most {MOST_REGIONS} regions, got {len(site.regions)}"
+        return
+    sound = {region: model for region, model in site.regions.items() if _sound(model)}
+    outer = {region: ancestors(site, region) for region in site.regions}
+    yield from _shape_faults(site, sound)
+    yield from _hierarchy_faults(site, sound, outer)
+    deep = [region for region, around in outer.items() if len(around) == MOST_DEPTH + 1]
+    for region in deep:
+        yield f"regions.{region}.within", f"expected at most {MOST_DEPTH} regions around a region"
+    if not deep:
+        yield from _overlap_faults(
+            sound, {name: frozenset(around) for name, around in outer.items()}
+        )
+
+
+def _shape_faults(site: Site, sound: Mapping[RegionId, Region]) -> Iterator[tuple[str, str]]:
     """Yield what is wrong with each region by itself, with the place."""
     for region, model in site.regions.items():
-        if not _sound(model):
+        if region not in sound:
             simple = doubled_area(model.points) == 0
             wanted = (
                 "corners that enclose an area" if simple else "edges that do not cross or touch"
@@ -75,48 +109,65 @@ def region_faults(site: Site) -> Iterator[tuple[str, str]]:
             yield f"regions.{region}.tags", "expected a sorted set of at least one tag"
 
 
-def hierarchy_faults(site: Site) -> Iterator[tuple[str, str]]:
+def _hierarchy_faults(
+    site: Site,
+    sound: Mapping[RegionId, Region],
+    outer: Mapping[RegionId, tuple[RegionId, ...]],
+) -> Iterator[tuple[str, str]]:
     """Yield parents that are none: unknown, in a cycle, or not around their child."""
+    left = MOST_EFFORT
     for region, model in site.regions.items():
         if model.within is None:
             continue
         place, parent = f"regions.{region}.within", site.regions.get(model.within)
         if parent is None:
             yield place, f"expected a region of this site, got `{model.within}`"
-        elif region in ancestors(site, region):
+        elif region in outer[region]:
             yield place, "expected no region to be within itself"
         elif not _one_floor(model, parent):
             yield place, f"expected the map and the floor of `{model.within}`"
-        elif _sound(model) and _sound(parent) and not contains(parent.points, model.points):
-            yield place, f"expected every point to lie inside `{model.within}`"
+        elif region in sound and model.within in sound:
+            left -= effort(len(model.points), model.points, parent.points)
+            if left < 0:
+                yield place, _TOO_INTRICATE
+                return
+            if not contains(parent.points, model.points):
+                yield place, f"expected every point to lie inside `{model.within}`"
 
 
-def overlap_faults(site: Site) -> Iterator[tuple[str, str]]:
+def _overlap_faults(
+    sound: Mapping[RegionId, Region], outer: Mapping[RegionId, frozenset[RegionId]]
+) -> Iterator[tuple[str, str]]:
     """Yield regions of one floor that have an area in common and do not say so.
 
     After `MOST_OVERLAPS` nobody looks further: a thousand regions on one spot have half a million
     pairs, and the site is refused for the first as for the last.
     """
-    sound = {region: model for region, model in site.regions.items() if _sound(model)}
-    left = MOST_OVERLAPS
-    for first, second in _near(sound):
-        if second in ancestors(site, first) or first in ancestors(site, second):
+    told, left, pairs = 0, MOST_EFFORT, _near(sound)
+    if len(pairs) > MOST_PAIRS:
+        yield "regions", f"expected at most {MOST_PAIRS} pairs of regions that are close"
+        return
+    for first, second in pairs:
+        if second in outer[first] or first in outer[second]:
             continue
-        if overlap(sound[first].points, sound[second].points):
-            left -= 1
-            further = "" if left else "; further overlaps are not looked for"
-            yield (
-                f"regions.{second}.points",
-                f"expected no area in common with `{first}`, or `within`{further}",
-            )
-        if not left:
+        one, other, place = sound[first].points, sound[second].points, f"regions.{second}.points"
+        left -= overlap_effort(one, other)
+        if left < 0:
+            yield place, _TOO_INTRICATE
+            return
+        if overlap(one, other):
+            told += 1
+            further = "" if told < MOST_OVERLAPS else "; further overlaps are not looked for"
+            yield place, f"expected no area in common with `{first}`, or `within`{further}"
+        if told == MOST_OVERLAPS:
             return
 
 
-def _near(regions: dict[RegionId, Region]) -> list[tuple[RegionId, RegionId]]:
+def _near(regions: Mapping[RegionId, Region]) -> list[tuple[RegionId, RegionId]]:
     """Return every two regions of one floor whose bounding boxes meet, in the order of the model.
 
-    A sweep from left to right: a site of a thousand rooms has half a million pairs.
+    A sweep from left to right: a site of a thousand rooms has half a million pairs. It ends soon
+    after more than `MOST_PAIRS`; a site with as many is not sound.
     """
     places = {region: number for number, region in enumerate(regions)}
     boxes = [
@@ -131,12 +182,17 @@ def _near(regions: dict[RegionId, Region]) -> list[tuple[RegionId, RegionId]]:
             if same and near.low[1] <= box.high[1] and box.low[1] <= near.high[1]:
                 pair = (other, region) if places[other] < places[region] else (region, other)
                 found.append(pair)
+        if len(found) > MOST_PAIRS:
+            break
         open_boxes.append((region, box))
     return sorted(found, key=lambda pair: (places[pair[0]], places[pair[1]]))
 
 
 def door_faults(site: Site) -> Iterator[tuple[str, str]]:
     """Yield doors that join no two regions, or regions that do not touch there."""
+    if len(site.doors) > MOST_DOORS:
+        yield "doors", f"expected at most {MOST_DOORS} doors, got {len(site.doors)}"
+        return
     for number, door in enumerate(site.doors):
         unknown = [region for region in door.between if region not in site.regions]
         for region in unknown:

@@ -79,6 +79,20 @@ def overlap(first: Points, second: Points) -> bool:
     return _enters(first, second) or _enters(second, first) or _outline(first) == _outline(second)
 
 
+def effort(edges: int, points: Points, other: Points) -> int:
+    """Return about how many edges are looked at to compare so many edges with a polygon.
+
+    Each edge is held against each near one of the other, and each stretch against all of them.
+    """
+    return (edges + len(_near(other, points))) * len(other)
+
+
+def overlap_effort(first: Points, second: Points) -> int:
+    """Return about how many edges `overlap` looks at."""
+    one, two = len(_near(first, second)), len(_near(second, first))
+    return (one + two) * (len(first) + len(second))
+
+
 def _enters(points: Points, other: Points) -> bool:
     """True when the outline of the first runs through the inside of the other."""
     pieces = _pieces(_near(points, other), points, other)

@@ -25,6 +25,8 @@ T = TypeVar("T")
 
 #: Most keys and values of one text, so that a megabyte of `[],` is no burden.
 MAX_NODES = 100_000
+#: How deep a text may be nested, whoever reads it; a site needs eight.
+MAX_DEPTH = 64
 
 
 class _TooLargeError(yaml.YAMLError):
@@ -41,17 +43,23 @@ class _StrictLoader(Composer, yaml.CSafeLoader):
         yaml.CSafeLoader.__init__(self, stream)
         Composer.__init__(self)
         self._nodes = 0
+        self._depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         self._nodes += 1
         if self._nodes > MAX_NODES:
-            raise _TooLargeError
+            raise _TooLargeError(f"expected at most {MAX_NODES} keys and values")
         event: Any = self.peek_event()
+        if self._depth > MAX_DEPTH:
+            raise yaml.YAMLError(f"expected at most {MAX_DEPTH} levels{event.start_mark}")
         if isinstance(event, yaml.events.AliasEvent):
             raise yaml.YAMLError(f"aliases are not allowed{event.start_mark}")
         if getattr(event, "tag", None) is not None:
             raise yaml.YAMLError(f"tags are not allowed{event.start_mark}")
-        return super().compose_node(parent, index)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def construct_mapping(self, node: Any, deep: bool = True) -> dict[Any, Any]:  # noqa: FBT001, FBT002
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -124,8 +132,8 @@ def read_yaml(text: str, *, where: str) -> object:
     try:
         return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - safe
     except _TooLargeError as error:
-        raise _too_large(f"expected at most {MAX_NODES} keys and values", where) from error
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
+        raise _too_large(str(error), where) from error
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
         message = " ".join(str(error).split())
         raise MalformedError(message, where=where) from error
 

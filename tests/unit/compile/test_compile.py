@@ -9,15 +9,19 @@ import msgspec
 import pytest
 
 import worlds
+from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.card import compare, review
 from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.compile.draft import Draft
+from authguard_r.compile.spoken import limit, quantity, unit_of
 from authguard_r.compile.units import to_integer
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
-from authguard_r.core.mission import DataRights
+from authguard_r.core.identifiers import ActionType, ParameterId
+from authguard_r.core.mission import DataRights, Limit
 from authguard_r.core.reasons import Reason
+from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 
 SET = msgspec.structs.replace
@@ -144,6 +148,102 @@ def test_quantities_are_exact(value: Any, unit: str, number: int) -> None:
 def test_what_is_no_such_quantity_is_refused(value: Any, unit: str) -> None:
     with pytest.raises(AuthGuardError):
         to_integer(value, unit, where="x")
+
+
+@pytest.mark.parametrize(
+    ("value", "mend"), [("22 degC", "295.15 K"), ("22 °C", "295.15 K"), ("-40 degF", "233.15 K")]
+)
+def test_a_unit_with_another_zero_is_refused_with_the_point_that_it_may_mean(
+    value: str, mend: str
+) -> None:
+    with pytest.raises(MalformedError, match="counts from zero") as caught:
+        to_integer(value, "millikelvin", where="x")
+    assert f"`{mend}`" in caught.value.message
+    again = to_integer(mend, "millikelvin", where="x")
+    assert mend == quantity(again, "millikelvin")
+
+
+def test_what_two_types_measure_differently_is_read_in_each_grant_s_own_unit() -> None:
+    site = two_units()
+    low, high = "0 m/s", "0.5 m/s"
+    draft = without_totals()
+    for number in (0, 2):  # `creep` and `navigate`
+        draft = apply(draft, {f"grants[{number}].limits": {"speed_mm_s": [low, high]}})
+    draft = apply(draft, {"grants[2].type": "creep"})
+    mission = compile_plain(draft, site, now=worlds.NOW, nonce="A" * 22)
+    assert [mission.actions[n].limits[0].high for n in (0, 2)] == [500, 50]
+    lines = [line for line in review(mission, site) if line.startswith("    speed_mm_s from 0 ")]
+    assert lines == [
+        "    speed_mm_s from 0 m/s to 0.5 m/s",
+        "    speed_mm_s from 0 cm/s to 50 cm/s",
+    ]
+    changed = SET(
+        mission, actions=(*mission.actions[:2], raised(mission.actions[2]), *mission.actions[3:])
+    )
+    assert any("at most 51 cm/s" in line for line in compare(mission, changed, site))
+
+
+def raised(grant: Any) -> Any:
+    return SET(grant, limits=(SET(grant.limits[0], high=51),))
+
+
+def without_totals() -> dict[str, Any]:
+    """Return the shipped draft without bounds and scales that hold for every type."""
+    plain = worlds.draft()
+    return {**plain, "limits": {}, "risk_policy": {**plain["risk_policy"], "parameters": []}}
+
+
+def two_units() -> Site:
+    """Return a site whose types disagree; `site check` refuses it, an older signature may not."""
+    site = worlds.site()
+    model = site.vocabulary[ActionType("navigate")]
+    speed = ParameterId("speed_mm_s")
+    creep = SET(model, params={speed: SET(model.params[speed], unit="cm/s")})
+    # first, so that whoever takes the first type that has the parameter takes the wrong one
+    return SET(site, vocabulary={ActionType("creep"): creep, **site.vocabulary})
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"limits": {"speed_mm_s": ["0 m/s", "1 m/s"]}}, "limits.speed_mm_s"),
+        ({}, "risk_policy.parameters[0].parameter"),
+    ],
+)
+def test_bounds_of_the_whole_mission_on_what_types_measure_differently_are_refused(
+    change: dict[str, Any], where: str
+) -> None:
+    draft = {**without_totals(), **change}
+    risk = {"parameter": "speed_mm_s", "full_scale": "1 m/s", "weight": 5}
+    draft["risk_policy"] = {**draft["risk_policy"], "parameters": [risk]}
+    with pytest.raises(MalformedError, match=r"expected one unit .*, got cm/s, mm/s") as caught:
+        compile_plain(draft, two_units(), now=worlds.NOW, nonce="A" * 22)
+    assert caught.value.where.endswith(where)
+
+
+def test_a_bound_on_what_types_measure_differently_is_shown_as_it_is_signed() -> None:
+    speed = ParameterId("speed_mm_s")
+    assert unit_of(speed, worlds.site()) == "mm/s"
+    assert unit_of(speed, two_units(), ActionType("creep")) == "cm/s"
+    assert unit_of(speed, two_units(), ActionType("navigate")) == "mm/s"
+    assert unit_of(ParameterId("nothing_mm"), two_units(), ActionType("creep")) == "count"
+    assert unit_of(ParameterId("force_mn"), two_units(), ActionType("creep")) == "mN"
+    shown = limit(Limit(parameter=speed, low=0, high=800), two_units())
+    assert shown == "speed_mm_s from 0 in each type's own unit to 800 in each type's own unit"
+
+
+def test_limits_wait_for_the_type_that_gives_them_their_unit() -> None:
+    draft = apply(without_totals(), {"grants[0].limits": {"speed_mm_s": ["0 m/s", "0.5"]}})
+    with pytest.raises(ClarificationError) as caught:
+        compile_plain(
+            {**draft, "grants": [{**draft["grants"][0], "type": None}]},
+            two_units(),
+            now=worlds.NOW,
+            nonce="A" * 22,
+        )
+    asked = {e.field for e in (caught.value, *caught.value.others)}
+    assert "grants[0].type" in asked
+    assert not any("limits" in field for field in asked)
 
 
 def test_a_draft_made_of_a_mission_compiles_to_that_mission() -> None:

@@ -17,6 +17,7 @@ import pytest
 
 import worlds
 from authguard_r.compile.answers import apply, compile_plain
+from authguard_r.compile.card import review
 from authguard_r.compile.lint import (
     Code,
     Measures,
@@ -26,8 +27,19 @@ from authguard_r.compile.lint import (
     lint,
     lint_alone,
 )
-from authguard_r.core.identifiers import RegionId
-from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
+from authguard_r.compile.worst import facts_for, worst_risk
+from authguard_r.core.action import Action
+from authguard_r.core.identifiers import ParameterId, RegionId
+from authguard_r.core.mission import (
+    Comparison,
+    Guard,
+    Limit,
+    Mission,
+    ParameterRisk,
+    require_schema,
+)
+from authguard_r.core.quantities import Now
+from authguard_r.core.risk import rho
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 
@@ -154,6 +166,115 @@ PLACELESS = {
     "57-a-mission-that-is-the-way-home-at-any-time": set(),  # nobody knows where home is
     "60-a-guard-that-every-battery-fulfils": {("UNGUARDED_RETURN", "actions[5].guards", "error")},
 }
+
+
+# what a sentence forbids, and which way a parameter goes
+
+THROUGH_PLANT = {
+    "grants[2].rows[0].regions": ["pharmacy", "plant-room", "public-corridor", "station-101"]
+}
+DELIVER = "Carry medicine package P1 from Pharmacy Desk A to Nurse Station 101"
+
+
+def sensitive(task: str) -> list[str]:
+    """Return how the way through the plant room is judged under a task."""
+    mission, site = world({"task": task, "draft": THROUGH_PLANT})
+    return [str(f.severity) for f in lint(mission, site) if f.code is Code.THROUGH_SENSITIVE]
+
+
+@pytest.mark.parametrize(
+    "denial",
+    [
+        ". Never go through Plant Room.",
+        ". Never go through Office 1, Office 2, or the Plant Room!",
+        ". The Plant Room must not be entered",
+        ". The Plant Room is off-limits",
+        ". The Plant Room isn't yours; nor is Office 1",
+        ". Don\u2019t enter the Plant Room?",
+        ". DO NOT ENTER: Plant Room",
+        ". DO_NOT_ENTER Plant_Room",
+        ". Keep out  of the Plant Room",
+        " without touching the Plant Room",
+        ", avoiding the Plant Room",
+        # what is left out is a gap: the words around it make no name together
+        ". Look at the Plant. Never stop. Room",
+    ],
+)
+def test_the_attack_a_denial_that_names_a_region_opens_no_way_through_it(denial: str) -> None:
+    assert sensitive(DELIVER + denial) == ["error"]
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        " by way of the Plant Room.",
+        ". Go through the PLANT ROOM. Never stop.",
+        ". Do not wait! Take the Plant Room",
+    ],
+)
+def test_a_region_that_the_task_asks_for_is_still_shown(asked: str) -> None:
+    assert sensitive(DELIVER + asked) == ["warning"]
+
+
+def test_the_end_of_a_row_is_no_way_through_whatever_the_task_denies() -> None:
+    plain = pair("24-to-an-office")
+    mission, site = world({**plain, "task": f"{DELIVER}. Never enter Office 1."})
+    assert Code.THROUGH_SENSITIVE not in {f.code for f in lint(mission, site)}
+
+
+def bounded(low: int, high: int, parameter: str, grant: int) -> tuple[Mission, Site]:
+    """Return the shipped mission with one grant's bounds, nobody asked below what full scale is."""
+    mission, site = world({})
+    one = Limit(parameter=ParameterId(parameter), low=low, high=high)
+    own = [*mission.actions]
+    own[grant] = SET(own[grant], limits=(one,))
+    return SET(mission, actions=tuple(own)), site
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1_000, 0), (0, 1_000), (-1_000, 10), (-10, 1_000)])
+def test_backwards_is_as_risky_as_forwards(low: int, high: int) -> None:
+    mission, site = bounded(low, high, "speed_mm_s", 2)
+    mission = SET(
+        mission,
+        risk_policy=SET(
+            mission.risk_policy,
+            parameters=(
+                ParameterRisk(parameter=ParameterId("speed_mm_s"), full_scale=1_000, weight=50),
+            ),
+        ),
+    )
+    facts = facts_for(mission, site)
+    assert facts is not None
+    grant = mission.actions[2]
+    row = grant.alternatives[0]
+
+    def risk_at(speed: int) -> int:
+        action = Action(
+            type=grant.type,
+            tool=grant.tool,
+            source=row.source,
+            destination=row.destination,
+            route=row.regions,
+            params={ParameterId("speed_mm_s"): speed},
+        )
+        return rho(action, mission.risk_policy, state=None, facts=facts, now=Now(0, 0))
+
+    worst = worst_risk(mission, grant, row, facts)
+    assert worst == max(risk_at(low), risk_at(high)) == risk_at(0) + 50
+    assert any(
+        line.endswith(f"its risk is at most {worst}") or f"({worst})" in line
+        for line in review(mission, site)
+    )
+
+
+@pytest.mark.parametrize(("low", "high"), [(-40_000, 0), (0, 40_000)])
+def test_pressing_hard_backwards_with_a_threshold_that_never_asks_is_seen(
+    low: int, high: int
+) -> None:
+    mission, site = bounded(low, high, "force_mn", 1)
+    policy = SET(mission.risk_policy, tau_1=10_000, tau_2=10_000)
+    found = [f for f in lint(SET(mission, risk_policy=policy), site) if f.code is Code.NEVER_ASKS]
+    assert [f"`{mission.actions[1].id}`" in f.message for f in found] == [True]
 
 
 @pytest.mark.parametrize("name", PLACELESS)

@@ -17,16 +17,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from authguard_r.core.errors import AuthenticityError
+from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import (
     Leaf,
+    LeafClaims,
     Role,
     build_authority,
     build_leaf,
     build_root,
     is_demo,
     load,
+    read_claims,
     walk,
 )
 from unit.keys import chains
@@ -75,6 +78,33 @@ def test_a_good_chain_says_whose_it_is_what_it_may_sign_and_until_when() -> None
     assert found.authority_serial == house().people.certificate.serial_number
     assert found.key == leaf.key.public_key()
     assert found.not_after_ms == NOW.utc_ms + 30 * chains.DAY_MS
+
+
+def test_claims_are_read_of_a_leaf_that_no_root_vouches_for() -> None:
+    stranger = chains.authority(chains.root("A stranger"), (Role.OPERATOR,))
+    with pytest.raises(AuthenticityError):
+        walked(chains.leaf(stranger), stranger)
+    claimed = read_claims(chains.leaf(stranger).der)
+    assert claimed == LeafClaims(principal=PrincipalId("operator-1"), role=Role.OPERATOR)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: chains.leaf(house().people, role=(eku(Role.OPERATOR, Role.SUPERVISOR), True)),
+        lambda: chains.leaf(house().people, role=None),
+        lambda: chains.leaf(
+            house().people, names=(san(PRINCIPAL + "operator-1", PRINCIPAL + "operator-2"), False)
+        ),
+        lambda: house().people,
+    ],
+)
+def test_who_claims_several_names_or_roles_or_none_claims_nothing(
+    make: Callable[[], Held],
+) -> None:
+    with pytest.raises(AuthenticityError) as caught:
+        read_claims(make().der)
+    assert (caught.value.reason, caught.value.where) == (Reason.CERTIFICATE_INVALID, LEAF)
 
 
 @pytest.mark.parametrize("role", Role)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -26,7 +27,8 @@ from authguard_r.site.model import (
     site_digest,
 )
 from authguard_r.site.model import PersonRole as Role
-from authguard_r.site.places import MOST_OVERLAPS
+from authguard_r.site.names import MOST_CHARACTERS, MOST_NAMES
+from authguard_r.site.places import MOST_DEPTH, MOST_DOORS, MOST_OVERLAPS, MOST_PAIRS, MOST_REGIONS
 
 replace = msgspec.structs.replace
 
@@ -536,3 +538,157 @@ def test_regions_all_on_one_spot_are_refused_without_looking_at_every_pair() -> 
     assert len(overlaps) == MOST_OVERLAPS
     told = [fault for fault in overlaps if "further overlaps are not looked for" in fault.message]
     assert told == overlaps[-1:]
+
+
+# -- what a hostile file may cost ------------------------------------------------------------------
+
+
+def lettered(number: int) -> str:
+    """Return a short id that looks like no other of a few thousand."""
+    letters = "bcdefghkmp"
+    return "".join(letters[int(digit)] for digit in f"{number:04}")
+
+
+def drawn(*points: tuple[int, int], within: str | None = None) -> Region:
+    """Return a region on the fly; where its approach lies does not matter here."""
+    return Region(
+        map="main", floor=9, points=points, approach=points[0], tags=("staff",), within=within
+    )
+
+
+def only(regions: dict[str, Region], **changes: Any) -> Site:
+    bare = {"objects": {}, "robots": {}, "people": {}, "doors": (), "emergency": None}
+    return site(regions=regions, **{**bare, **changes})
+
+
+def nested(count: int) -> dict[str, Region]:
+    """Return squares, each within the last."""
+    return {
+        lettered(n): drawn(
+            (n, n),
+            (20_000 - n, n),
+            (20_000 - n, 20_000 - n),
+            (n, 20_000 - n),
+            within=lettered(n - 1) if n else None,
+        )
+        for n in range(count)
+    }
+
+
+def zigzag(low: int, high: int, within: str | None = None) -> Region:
+    """Return a band of 256 corners that runs up and down: its box says little of it."""
+    line = [(step * 1_000, step % 2 * 100_000) for step in range(128)]
+    below = [(x, y + low) for x, y in line]
+    return drawn(*below, *((x, y + high) for x, y in reversed(line)), within=within)
+
+
+def timed(model: Site) -> tuple[Fault, ...]:
+    """Return the faults, found in time: what hung for minutes takes a few seconds."""
+    begun = time.process_time()
+    found = faults(model)
+    assert time.process_time() - begun < 10
+    return found
+
+
+def test_regions_may_lie_sixteen_deep_and_not_deeper() -> None:
+    assert faults(only(nested(MOST_DEPTH + 1))) == ()
+    place = f"regions.{lettered(MOST_DEPTH + 1)}.within"
+    deep = Fault(place, f"expected at most {MOST_DEPTH} regions around a region")
+    assert faults(only(nested(MOST_DEPTH + 2))) == (deep,)
+
+
+def test_a_chain_of_nested_regions_is_refused_at_once() -> None:
+    """The attack: 800 squares, each `within` the last, kept the checker busy for minutes."""
+    (told,) = timed(only(nested(800)))
+    assert told.where == f"regions.{lettered(MOST_DEPTH + 1)}.within"
+
+
+def test_more_regions_or_doors_than_anyone_draws_are_refused_and_not_looked_at() -> None:
+    square = drawn((0, 0), (9, 0), (9, 9), (0, 9))
+    many = {lettered(n): square for n in range(MOST_REGIONS + 1)}
+    assert [fault.where for fault in timed(only(many))] == ["regions"]
+    lost = Door(between=("cellar", "attic"), at=(0, 0))
+    most = faults(doors(*[lost] * (MOST_DOORS - len(worlds.site().doors))))
+    assert len(most) == 2 * (MOST_DOORS - len(worlds.site().doors))
+    more = faults(doors(*[lost] * MOST_DOORS))
+    assert [fault.where for fault in more] == ["doors"]
+
+
+def test_many_thin_regions_whose_boxes_all_meet_are_refused_and_not_compared() -> None:
+    """The attack: no two have an area in common, and every pair must be looked at."""
+    strips = {
+        lettered(n): drawn(
+            (n * 10, 0), (n * 10 + 9, 0), (n * 10 + 100_009, 100_000), (n * 10 + 100_000, 100_000)
+        )
+        for n in range(1_900)
+    }
+    (told,) = timed(only(strips))
+    assert told == Fault(
+        "regions", f"expected at most {MOST_PAIRS} pairs of regions that are close"
+    )
+    few = dict(list(strips.items())[:30])
+    assert faults(only(few)) == ()
+
+
+@pytest.mark.parametrize("within", [None, "bbbb"])
+def test_intricate_regions_close_together_are_refused_before_they_cost_minutes(
+    within: str | None,
+) -> None:
+    """The attack: a megabyte of outlines that run beside each other, or inside one."""
+    bands = {lettered(n): zigzag(n * 10, n * 10 + 5, within) for n in range(1, 125)}
+    around = {"bbbb": zigzag(0, 10_000_000)} if within else {}
+    found = timed(only({**around, **bands}))
+    assert found
+    assert all("not compared further" in fault.message for fault in found)
+    assert faults(only({**around, **dict(list(bands.items())[:3])})) == ()
+
+
+def test_a_thousand_rooms_side_by_side_are_sound() -> None:
+    """The near miss: what a large building has is far from any of these limits."""
+    rooms = {
+        lettered(n): drawn(
+            *((n % 40 * 10 + x, n // 40 * 10 + y) for x, y in ((0, 0), (10, 0), (10, 10), (0, 10)))
+        )
+        for n in range(1_000)
+    }
+    assert timed(only(rooms)) == ()
+
+
+def test_a_name_has_at_most_two_hundred_characters_and_a_thing_sixty_four_names() -> None:
+    """The attack: one name of 60,000 characters cost gigabytes where mentions are searched."""
+    assert faults(region("dock", names=("x" * MOST_CHARACTERS,))) == ()
+    found = faults(region("dock", names=("Bay", "x" * (MOST_CHARACTERS + 1))))
+    message = f"expected at most {MOST_CHARACTERS} characters, got {MOST_CHARACTERS + 1}"
+    assert found == (Fault("regions.dock.names[1]", message),)
+    names = tuple(f"bay {lettered(n)}" for n in range(MOST_NAMES + 1))
+    assert faults(thing("sharps-bin", names=names[1:])) == ()
+    message = f"expected at most {MOST_NAMES} names, got {MOST_NAMES + 1}"
+    found = faults(thing("sharps-bin", names=names))
+    assert found == (Fault("objects.sharps-bin.names", message),)
+
+
+def test_one_parameter_name_in_two_units_cannot_be_sound() -> None:
+    """The attack: a card that reads a limit in the unit of another type's parameter."""
+    vocabulary = {
+        **worlds.site().vocabulary,
+        "drive-on": ActionModel(fields=(), params={"amount": replace(BYTES, unit="mm/s")}),
+        "press-on": ActionModel(fields=(), params={"amount": replace(BYTES, unit="cm/s")}),
+    }
+    found = [fault.where for fault in faults(site(vocabulary=vocabulary))]
+    assert found == [
+        "vocabulary.drive-on.params.amount.unit",
+        "vocabulary.press-on.params.amount.unit",
+    ]
+    for unit in ("mm/s", "cm/s", "m/s", "", "MM/S"):
+        told = faults(site(vocabulary={**vocabulary, **_of("amount_mm_s", "mm/s", unit)}))
+        places = [fault.where for fault in told]
+        wrong = [] if unit == "mm/s" else ["vocabulary.press-on.params.amount_mm_s.unit"]
+        assert places == wrong
+
+
+def _of(name: str, first: str, second: str) -> dict[str, ActionModel]:
+    units = {"drive-on": first, "press-on": second}
+    return {
+        kind: ActionModel(fields=(), params={name: replace(BYTES, unit=unit)})
+        for kind, unit in units.items()
+    }

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import random
+import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -250,3 +253,105 @@ def test_a_picture_in_a_folder_below_is_read(tmp_path: Path) -> None:
     (tmp_path / "pictures" / "hall.pgm").write_bytes(raw(hall()))
     path = written(tmp_path, None, YAML.replace("hall.pgm", "pictures/hall.pgm"))
     assert len(imported(path).site.regions) == 1
+
+
+# -- what a hostile picture may cost ---------------------------------------------------------------
+
+SIDE = 2_000
+
+
+def checkered() -> bytes:
+    rows = bytes([FREE, WALL]) * (SIDE // 2), bytes([WALL, FREE]) * (SIDE // 2)
+    return b"P5 2000 2000 255\n" + (rows[0] + rows[1]) * (SIDE // 2)
+
+
+def combed() -> bytes:
+    return b"P5 2000 2000 255\n" + bytes([FREE, WALL]) * (SIDE // 2 * (SIDE - 1)) + b"\xfe" * SIDE
+
+
+def noisy() -> bytes:
+    half = bytes(FREE if shade < 128 else WALL for shade in range(256))
+    return b"P5 2000 2000 255\n" + random.Random(1).randbytes(SIDE * SIDE).translate(half)
+
+
+def just_enough() -> bytes:
+    """Noise of nearly as many stretches as there may be."""
+    half = bytes(FREE if shade < 128 else WALL for shade in range(256))
+    return b"P5 620 620 255\n" + random.Random(1).randbytes(620 * 620).translate(half)
+
+
+def teeth() -> bytes:
+    """A comb of nearly as many stretches as there may be, all of one piece."""
+    row = (b"\xfe" * 39 + b"\x00") * (SIDE // 40)
+    return b"P5 2000 2000 255\n" + row * (SIDE - 1) + b"\xfe" * SIDE
+
+
+#: Pictures within the limits of size that cost seconds or gigabytes, and what is said of each.
+COSTLY = {
+    "checkered": (checkered, "stretches of free cells"),
+    "a comb": (combed, "stretches of free cells"),
+    "noise": (noisy, "stretches of free cells"),
+    "noise just below the limit": (just_enough, "regions"),
+    "a comb just below the limit": (teeth, ""),
+    "plain": (lambda: b"P2 2000 2000 255\n" + b"10 " * SIDE**2, "free space"),
+    "plain and free": (lambda: b"P2 2000 2000 255\n" + b"254 " * SIDE**2, ""),
+    "plain, far too many": (lambda: b"P2 2 2 255\n" + b"1 " * (2 * SIDE**2), "4 cells"),
+    "plain without a gap": (lambda: b"P2 2000 2000 255\n" + b"1" * 16_000_000, "plain digits"),
+    "a header of spaces": (lambda: b"P5" + b" " * 16_000_000, "PGM"),
+    "a header of comments": (lambda: b"P5" + b"#\n" * 8_000_000, "PGM"),
+}
+
+
+@pytest.mark.parametrize(("picture", "refusal"), COSTLY.values(), ids=COSTLY)
+def test_a_hostile_picture_costs_little_time(tmp_path: Path, picture: Any, refusal: str) -> None:
+    path = written(tmp_path, picture())
+    begun = time.process_time()
+    _import_or_refuse(path, refusal)
+    assert time.process_time() - begun <= 2
+
+
+@pytest.mark.parametrize(("picture", "refusal"), COSTLY.values(), ids=COSTLY)
+def test_a_hostile_picture_costs_little_memory(tmp_path: Path, picture: Any, refusal: str) -> None:
+    path = written(tmp_path, picture())
+    tracemalloc.start()
+    try:
+        _import_or_refuse(path, refusal)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak <= 200_000_000
+
+
+def _import_or_refuse(path: Path, refusal: str) -> None:
+    if not refusal:
+        assert faults(imported(path).site) == ()
+        return
+    with pytest.raises(MalformedError) as caught:
+        imported(path)
+    assert refusal in caught.value.message
+
+
+def test_numbers_of_a_plain_picture_are_not_cut_where_a_chunk_ends(tmp_path: Path) -> None:
+    """Every offset of a number against the chunk: what is read is what was written."""
+    for gap in range(1, 6):
+        cells = [[FREE] * 300 for _ in range(300)]
+        rows = (b" " * gap).join(b"%d" % shade for row in cells for shade in row)
+        (area,) = imported(written(tmp_path, b"P2 300 300 255\n" + rows)).site.regions.values()
+        assert len(area.points) == 4
+
+
+@pytest.mark.parametrize("name", ["hall.pgm", "below/hall.pgm"])
+def test_a_picture_that_is_a_link_to_itself_is_refused_in_its_place(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name.partition("/")[0]).symlink_to(name.partition("/")[0])
+    with pytest.raises(MalformedError) as caught:
+        imported(written(tmp_path, None, YAML.replace("hall.pgm", name)))
+    assert caught.value.where.endswith(":image")
+
+
+def test_a_picture_with_a_name_longer_than_any_file_s_is_refused(tmp_path: Path) -> None:
+    long = "x" * (os.pathconf(tmp_path, "PC_NAME_MAX") + 1)
+    with pytest.raises((MalformedError, EnvironmentFault)) as caught:
+        imported(written(tmp_path, None, YAML.replace("hall.pgm", long)))
+    assert caught.value.where.endswith(":image")

@@ -7,6 +7,7 @@ import contextlib
 import copy
 import json
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from authguard_r.site.check import faults
 from authguard_r.site.model import Parameter, Site
 from authguard_r.site.places import adjacent
 from authguard_r.site.source import convert, parse_site, read_site, read_text, read_yaml
-from authguard_r.site.strict import MAX_NODES
+from authguard_r.site.strict import MAX_DEPTH, MAX_NODES
 
 SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 
@@ -241,6 +242,39 @@ def test_more_keys_and_values_than_a_text_may_have_are_refused() -> None:
     with pytest.raises(MalformedError) as caught:
         read_yaml(f"[{','.join([*most, 'a'])}]", where="x")
     assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "x")
+
+
+@pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ("{a: ", "}")])
+def test_nesting_is_read_to_its_limit_and_refused_beyond(opening: str, closing: str) -> None:
+    """The limit is the text's own: it does not depend on who reads it from how deep a stack."""
+    read_yaml(opening * MAX_DEPTH + "1" + closing * MAX_DEPTH, where="x")
+    with pytest.raises(MalformedError) as caught:
+        read_yaml(opening * (MAX_DEPTH + 1) + "1" + closing * (MAX_DEPTH + 1), where="x")
+    assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, "x")
+    assert f"{MAX_DEPTH} levels" in caught.value.message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"a: [{'1,' * 524_000}]",
+        "".join(f"k{number}: 1\n" for number in range(100_000)),
+        f"{{{','.join(f'k{number}: 1' for number in range(49_000))}}}",
+        f"[{'1.5e3,' * 99_000}]",
+        "[" * MEGABYTE,
+        "- " * (MEGABYTE // 2),
+    ],
+    ids=["a megabyte of ones", "keys", "the most keys", "the most numbers", "brackets", "dashes"],
+)
+def test_a_megabyte_of_yaml_is_read_or_refused_in_little_memory(text: str) -> None:
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(MalformedError):
+            read_yaml(text, where="x")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak <= 200_000_000
 
 
 def test_a_text_of_more_than_a_megabyte_is_refused_before_it_is_looked_at() -> None:
