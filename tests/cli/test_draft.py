@@ -12,11 +12,14 @@ from typing import Any
 import pytest
 import typer
 import yaml
+from pytest_httpserver import HTTPServer
 
 import worlds
 from authguard_r import cli
+from authguard_r.cli.ask import confirm_shown, prompt
 from authguard_r.cli.draft import draft_command
 from authguard_r.compile.answers import compile_plain
+from authguard_r.core.errors import ClarificationError
 from authguard_r.core.identifiers import Timestamp
 from authguard_r.core.quantities import Now, to_ms
 
@@ -158,52 +161,65 @@ def test_a_person_at_the_terminal_is_asked(console: Console) -> None:
 
 
 def test_a_question_that_no_answer_settles_is_not_asked_for_ever(console: Console) -> None:
-    code, out, err = console(
+    code, _, err = console(
         "go to station 101 unless it is dark within 5 min", *GIVEN, typed="x\n" * 50
     )
-    assert (code, out) == (3, "")
+    assert code == 3
     assert err.count("say it otherwise (condition)") == 1
 
 
 ESCAPES = "\x1b[2J\x07\u202e\nforged"
 
 
-class Chatty:
-    """A server's model whose words are an attack on the terminal; stands where the network is."""
-
-    name = "openai:m"
-    reply = ""
-
-    def __init__(self, reach: object) -> None:
-        self.reach = reach
-
-    def ask(self, system: str, user: str) -> str:
-        return self.reply
+def says(server: HTTPServer, reply: object) -> None:
+    """Let a chat completions server answer with one reply."""
+    message = {"role": "assistant", "content": json.dumps(reply)}
+    choice = {"index": 0, "finish_reason": "stop", "message": message}
+    whole = {"id": "c", "object": "chat.completion", "created": 1, "model": "m"}
+    server.clear()
+    server.expect_request("/v1/chat/completions").respond_with_json({**whole, "choices": [choice]})
 
 
 def test_nothing_that_a_model_says_reaches_the_terminal_raw(
-    console: Console, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    console: Console, httpserver: HTTPServer, tmp_path: Path
 ) -> None:
     """Escape sequences could hide a candidate, and a line break could forge one."""
-    monkeypatch.setattr("authguard_r.drafting.models.OpenAIChat", Chatty)
-    model = ("--proposer", "openai", "--base-url", "http://127.0.0.1:9/v1", "--model", "m")
+    model = ("--proposer", "openai", "--base-url", httpserver.url_for("/v1"))
+    model = (*model, "--model", f"m{ESCAPES}")
     asked = {"field": f"a{ESCAPES}", "question": f"q{ESCAPES}?", "candidates": [f"c{ESCAPES}"]}
-    monkeypatch.setattr(Chatty, "reply", json.dumps({"questions": [asked]}))
+    says(httpserver, {"questions": [asked]})
     for typed in (None, "wrong\n1\n"):
         code, out, err = console("go there", *model, typed=typed)
         assert code == 3
         assert not set("\x1b\x07\u202e") & set(out + err)
         assert "\nforged" not in out + err
     target = tmp_path / "draft.yaml"
-    monkeypatch.setattr(Chatty, "name", f"openai:{ESCAPES}")
     draft = {"mission": f"m{ESCAPES}", "task": "go there", "budgets": {"motion": 0.8}}
-    monkeypatch.setattr(Chatty, "reply", json.dumps(draft))
+    says(httpserver, draft)
     for options in ((), ("--out", str(target))):
         code, out, err = console("go there", *model, *options)
         assert (code, err) == (0, "")
         assert not set("\x1b\x07\u202e") & set(out)
     assert "\x1b" not in target.read_text()
     assert yaml.safe_load(target.read_text()) == {**draft, "budgets": {"motion": "0.8"}}
+
+
+def test_a_question_and_a_card_are_printed_without_control_characters(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a site or a draft calls its things reaches the terminal escaped, and nothing is cut."""
+    stdin = io.StringIO("1\ny\n")
+    monkeypatch.setattr(stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stdin", stdin)
+    question = ClarificationError(
+        f"q{ESCAPES}", field=f"f{ESCAPES}", candidates=("7", f"c{ESCAPES}")
+    )
+    assert prompt(question) == 7
+    confirm_shown([f"a{ESCAPES}", "z" * 5_000], "Sign?", as_json=False)
+    told = capsys.readouterr()
+    assert not set("\x1b\x07\u202e") & set(told.out + told.err)
+    assert "\nforged" not in told.err
+    assert "z" * 5_000 in told.out
 
 
 def test_no_input_never_asks_and_end_of_input_stops(console: Console) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
+from authguard_r.cli.out import printed
 from authguard_r.compile.answers import read_answer
 from authguard_r.core.errors import ClarificationError, MalformedError, shown
 
@@ -36,14 +37,9 @@ def confirm_shown(lines: list[str], question: str, *, as_json: bool) -> bool:
         typer.Abort: no, or standard input ended.
     """
     for line in lines:
-        typer.echo(_printed(line), err=as_json)
+        typer.echo(printed(line), err=as_json)
     typer.confirm(question, abort=True, err=as_json)
     return sys.stdin.isatty()
-
-
-def _printed(lines: str) -> str:
-    """Return text without control characters; nothing is cut, and line breaks stay."""
-    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in lines)
 
 
 def ask_until(job: Callable[[dict[str, object]], T], answers: dict[str, object]) -> T:

@@ -14,8 +14,8 @@ import yaml
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, may_ask
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.out import emit
-from authguard_r.core.errors import MalformedError, shown
 from authguard_r.compile.draft import Draft
+from authguard_r.core.errors import MalformedError, shown
 from authguard_r.drafting.profile import read_profile
 from authguard_r.drafting.proposal import Proposal, Proposer, Question, clarification
 from authguard_r.drafting.template import TemplateProposer

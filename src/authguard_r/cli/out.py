@@ -37,16 +37,13 @@ def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> Non
     if as_json:
         sys.stdout.write(json.dumps(payload) + "\n")
     else:
-        sys.stdout.write("".join(f"{_printed(line)}\n" for line in lines))
+        sys.stdout.write("".join(f"{printed(line)}\n" for line in lines))
     sys.stdout.flush()
 
 
-def _printed(lines: str) -> str:
-    """Return text without control characters; it may have several lines of its own."""
-    return "\n".join(
-        "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
-        for line in lines.split("\n")
-    )
+def printed(lines: str) -> str:
+    """Return text without control characters; nothing is cut, and line breaks stay."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in lines)
 
 
 def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: int) -> int:

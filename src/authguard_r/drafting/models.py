@@ -17,8 +17,8 @@ from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.drafting.chat import AnthropicChat, Chat, OpenAIChat, Reach
 from authguard_r.drafting.answered import holds, printed
+from authguard_r.drafting.chat import AnthropicChat, Chat, OpenAIChat, Reach
 from authguard_r.drafting.proposal import Proposal, Question
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert

@@ -12,15 +12,14 @@ from authguard_r.drafting.amounts import is_filler, take_amount, take_count, tak
 from authguard_r.drafting.clauses import Clause, Condition, Phrase, Sentence, Way
 from authguard_r.drafting.cursor import Cursor
 from authguard_r.drafting.doors import read_door
-from authguard_r.drafting.frames import Frame, Verb
+from authguard_r.drafting.frames import Frame
 from authguard_r.drafting.lexicon import Lexicon, Ref, Sort
 from authguard_r.drafting.strays import Strays, settle_clauses
 from authguard_r.drafting.terms import take_condition, take_end, take_right, take_rights, take_start
 from authguard_r.drafting.tokens import Token
+from authguard_r.drafting.verbs import VerbPhrase, ends, leads, read_gerund, read_verb
 
 _IMPLIED = frozenset({"in", "inside", "into"})
-_ENDS = frozenset({"", ".", "!", "?"})
-_LEADING = frames.CAREFUL | {"please", "kindly"}
 
 
 def read_sentence(
@@ -51,8 +50,7 @@ class _Reader:
         self._liquids = liquids
         self._clause: Clause | None = None
         self._fresh = True  # a clause or the next item of a list may begin here
-        self._role = "object"
-        self._preposition = ""
+        self._role, self._preposition = "object", ""
         self._waiting: Condition | None = None
         self._last_name = ""
         self._strays = Strays(self.said)
@@ -147,16 +145,14 @@ class _Reader:
         if word not in {"after", "before"} or self._clause is None:
             return False
         careful = self._here.low(1) in frames.CAREFUL
-        size = 2 + careful
-        for stem in frames.gerund(self._here.low(size - 1)):
-            verb = frames.VERBS.get((stem,))
-            if verb is not None:
-                self._end_of_phrase()
-                self._here.at += size
-                self._fresh = word == "before"
-                self._open(verb, stem).careful = careful
-                return True
-        return False
+        found = read_gerund(self._here, 1 + careful)
+        if found is None:
+            return False
+        self._end_of_phrase()
+        self._here.at += 1 + careful + found.size
+        self._fresh = word == "before"
+        self._open(found).careful = careful
+        return True
 
     def _term(self) -> bool:
         """Quantities, counts and details of a clause that stand without a phrase."""
@@ -170,21 +166,18 @@ class _Reader:
         return clause is not None and not self._preposition and take_amount(self._here, clause)
 
     def _verb(self) -> bool:
-        if not self._fresh:
+        found = read_verb(self._here) if self._fresh else None
+        if found is None:
             return False
-        for size in range(frames.LONGEST_VERB, 0, -1):
-            words = tuple(self._here.low(n) for n in range(size))
-            if words in frames.VERBS:
-                self._here.at += size
-                self._open(frames.VERBS[words], " ".join(words))
-                return True
-        return False
+        self._here.at += found.size
+        self._open(found)
+        return True
 
-    def _open(self, verb: Verb, wording: str) -> Clause:
+    def _open(self, found: VerbPhrase) -> Clause:
         """Begin a clause; one that is said last and done first goes before the one before it."""
-        said = self.said.clauses
+        said, verb = self.said.clauses, found.verb
         earlier = self._clause is not None and not self._fresh
-        clause = Clause(len(said) + 1, verb.frame, wording, earlier=earlier)
+        clause = Clause(len(said) + 1, verb.frame, found.wording, earlier=earlier)
         clause.state += [verb.state] if verb.state else []
         clause.condition, self._waiting = self._waiting, None
         place = said.index(self._clause) if earlier and self._clause in said else len(said)
@@ -227,17 +220,8 @@ class _Reader:
 
     def _listed(self, size: int) -> bool:
         """True for `and courier-1` that no verb follows: it goes on with a list of things."""
-        before = self._here.tokens[self._here.at - 1].low if self._here.at else ""
-        return self._clause is not None and before == "and" and not self._opens(size)
-
-    def _opens(self, offset: int) -> int:
-        """Return how many manners lead the verb that stands there, from 1; 0 without a verb."""
-        manners = 0
-        while self._here.low(offset + manners) in _LEADING:
-            manners += 1
-        words = [self._here.low(offset + manners + n) for n in range(frames.LONGEST_VERB)]
-        found = any(tuple(words[: n + 1]) in frames.VERBS for n in range(frames.LONGEST_VERB))
-        return manners + 1 if found else 0
+        listed = self._clause is not None and self._here.low(-1) in {"and", "then"}
+        return listed and leads(self._here, size) is None
 
     def _door(self) -> bool:
         """`the door of the pharmacy`, `the pharmacy door`: a door by what it leads to."""
@@ -352,17 +336,14 @@ class _Reader:
 
     def _manner(self) -> bool:
         """`gently place ...`: the manner of the verb that follows; else of the clause it ends."""
-        clause, leads = self._clause, self._opens(0) if self._fresh else 0
-        if leads:
-            self._here.at += leads - 1
-            self._verb()
-            clause = self._clause
-        elif clause is None or (self._fresh and self._here.low(1) not in _ENDS):
+        size = leads(self._here) if self._fresh else None
+        if size is None and (self._clause is None or (self._fresh and not ends(self._here))):
             return False  # `go there, gently, and put it down`: of which of the two?
-        else:
-            self._here.at += 1
-        if clause is not None:
-            clause.careful = True
+        self._here.at += 1 if size is None else size
+        if size is not None:
+            self._verb()
+        if self._clause is not None:
+            self._clause.careful = True
         return True
 
     def _takes_liquid(self, clause: Clause) -> bool:

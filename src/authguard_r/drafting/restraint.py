@@ -15,22 +15,19 @@ def _words(text: str) -> frozenset[str]:
 
 
 #: Words that deny, take back, or bound what was said in number, place, time or condition.
-LIMITING = (
-    _words(
-        "not no never none nothing nor neither nobody nowhere cannot without unless except "
-        "excepting excepted exclude excluding exclusively but only solely just merely purely "
-        "instead rather otherwise else besides apart minus barring bar save avoid avoiding "
-        "refuse refusing refrain forbid forbidden prohibit prohibited disallow disallowed ban "
-        "banned deny denied skip skipping omit omitting ignore stop halt beware lest keep stay "
-        "away out off if when whenever where wherever whether while until till after before "
-        "during once as or either provided providing given assuming supposing"
-    )
-    | _words(
-        "least most less fewer more max maximum min minimum exactly half faster slower within "
-        "hardly barely scarcely seldom rarely ensure ensuring prevent preventing requirement "
-        "must should may might supervised unsupervised later soon now today tomorrow tonight "
-        "daily weekly"
-    )
+LIMITING = _words(
+    "not no never none nothing nor neither nobody nowhere cannot without unless except "
+    "excepting excepted exclude excluding exclusively but only solely just merely purely "
+    "instead rather otherwise else besides apart minus barring bar save avoid avoiding "
+    "refuse refusing refrain forbid forbidden prohibit prohibited disallow disallowed ban "
+    "banned deny denied skip skipping omit omitting ignore stop halt beware lest keep stay "
+    "away out off if when whenever where wherever whether while until till after before "
+    "during once as or either provided providing given assuming supposing"
+) | _words(
+    "least most less fewer more max maximum min minimum exactly half faster slower within "
+    "hardly barely scarcely seldom rarely ensure ensuring prevent preventing requirement "
+    "must should may might supervised unsupervised later soon now today tomorrow tonight "
+    "daily weekly"
 )
 #: `dont`, `wont`, `mustnt`: a denial that lost its apostrophe, or has another one.
 _DENIED = frozenset(

@@ -34,7 +34,7 @@ MOST_REGIONS = 2_000
 MOST_DOORS = 4_000
 MOST_DEPTH = 16
 #: Most edges that are looked at to compare regions: a few seconds. A floor of a thousand
-#: rectangular rooms needs a hundredth.
+#: rectangular rooms needs a tenth.
 MOST_EFFORT = 2_000_000
 #: Most pairs of regions whose bounding boxes meet; five hundred regions have fewer.
 MOST_PAIRS = 150_000

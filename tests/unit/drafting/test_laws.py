@@ -182,7 +182,7 @@ def test_a_limiting_word_is_never_answered_away(
     word: str, place: int, mark: str, data: Any
 ) -> None:
     """Wherever it stands, and whatever is answered: no draft comes of it (`once` is a count)."""
-    said = "bring P1 to Station 101 and then go to Station 102".split()
+    said = _words("bring P1 to Station 101 and then go to Station 102")
     sentence = " ".join([*said[:place], mark, word, *said[place:]])
     try:
         made, _ = answer_all(sentence, worlds.site(), "courier-1", data)

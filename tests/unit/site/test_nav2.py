@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import random
+import sys
 import time
 import tracemalloc
 from pathlib import Path
@@ -307,7 +308,8 @@ def test_a_hostile_picture_costs_little_time(tmp_path: Path, picture: Any, refus
     path = written(tmp_path, picture())
     begun = time.process_time()
     _import_or_refuse(path, refusal)
-    assert time.process_time() - begun <= 2
+    slow = 1 if sys.gettrace() is None else 4  # measuring coverage has its price
+    assert time.process_time() - begun <= 2 * slow
 
 
 @pytest.mark.parametrize(("picture", "refusal"), COSTLY.values(), ids=COSTLY)
