@@ -6,12 +6,18 @@ Source: section "Provenance Labels". Spec page: docs/spec/provenance.md
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
+
 from authguard_r.core.action import Action
 from authguard_r.core.checks.provenance import CHOSEN, open_rows, selectable_rows
 from authguard_r.core.mission import Grant, Row
 from authguard_r.core.provenance import PRIVILEGED, TRUST, Chooser, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
+
+_FIELD: dict[str, Callable[[Any], Any]] = {field: attrgetter(field) for field in CHOSEN}
 
 
 def label_fields(
@@ -43,30 +49,25 @@ def _chosen_by(
 
     A planner may choose among grants, that is how it does its task; it may not choose within one.
     """
-    value, found = getattr(action, field), list[Label]()
+    get, found = _FIELD[field], list[Label]()
+    value = get(action)
     for place in verified.by_type.get(action.type, ()):
         grant = verified.grants[place].grant
-        if value not in _values(field, selectable_rows(grant, standing)):
+        rows = selectable_rows(grant, standing)
+        values = set(map(get, rows))
+        if value not in values:
             continue
-        label = _settled_by(field, action, grant, standing)
-        if label is None:
+        if len(values) == 1:
+            found.append(_signed_by(get, grant, rows))
+        elif set(map(get, open_rows(grant, standing, action.source))) == {value}:
+            found.append(Label.TRUSTED_SENSOR)
+        else:
             return None
-        found.append(label)
     return max(found, key=TRUST.index, default=None)
 
 
-def _settled_by(
-    field: str, action: Action, grant: Grant, standing: Standing | None
-) -> Label | None:
-    """Return whose word leaves exactly this value: the signer's, the chooser's, the sensor's."""
-    only = {getattr(action, field)}
-    if _values(field, grant.alternatives) == only:
+def _signed_by(get: Callable[[Any], Any], grant: Grant, rows: tuple[Row, ...]) -> Label:
+    """Return whose signature leaves one value: the mission's, or else the selection's."""
+    if rows is grant.alternatives or len(set(map(get, grant.alternatives))) == 1:
         return Label.OPERATOR
-    if _values(field, selectable_rows(grant, standing)) == only:
-        return Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR
-    settled = _values(field, open_rows(grant, standing, action.source)) == only
-    return Label.TRUSTED_SENSOR if settled else None
-
-
-def _values(field: str, rows: tuple[Row, ...]) -> set[str | None]:
-    return {getattr(row, field) for row in rows}
+    return Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR

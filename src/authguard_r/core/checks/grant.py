@@ -101,6 +101,8 @@ def check_uses(case: Case, indexed: IndexedGrant) -> Findings:
         return ()
     use = use_of(standing, grant.id)
     taken = use.successes + (in_flight(standing, grant.id) if standing.open else 0)
+    if taken < grant.repeat and use.starts < grant.starts:
+        return ()
     held = (
         ("grant.repeat", Reason.REPEAT_EXHAUSTED, taken, grant.repeat),
         ("grant.starts", Reason.STARTS_EXHAUSTED, use.starts, grant.starts),

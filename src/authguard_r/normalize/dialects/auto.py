@@ -153,7 +153,7 @@ def _claims(value: Any) -> list[Dialect]:
             plan = value["plan"]
             rows = isinstance(plan, list) and bool(plan) and isinstance(plan[0], list)
             found.append(Dialect.SPINE if rows or isinstance(plan, str) else Dialect.JSON)
-        return list(dict.fromkeys(found))
+        return found if len(found) < 2 else list(dict.fromkeys(found))
     if value == []:
         return [Dialect.JSON]
     if isinstance(value, list) and isinstance(value[0], dict):

@@ -69,9 +69,8 @@ def expect_fields(value: dict[str, Any], allowed: AbstractSet[str], where: str) 
     Raises:
         MalformedError: with the first such field as the place (`FIELD_UNKNOWN`).
     """
-    extra = sorted(value.keys() - allowed)
-    if extra:
-        shown = ascii(extra[0])[1:-1][:80]
+    if not value.keys() <= allowed:
+        shown = ascii(min(value.keys() - allowed))[1:-1][:80]
         raise MalformedError(
             f"expected {_listed(allowed)} only, got `{shown}`",
             where=f"{where}.{shown}",

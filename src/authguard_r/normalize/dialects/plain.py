@@ -22,12 +22,12 @@ def read_bare(value: Any) -> tuple[Call, ...]:
         MalformedError: any other shape, or any other key.
     """
     where = "input"
-    if isinstance(value, dict) and set(value) == {"plan"}:
+    if isinstance(value, dict) and value.keys() == {"plan"}:
         value, where = value["plan"], "plan"
     if isinstance(value, dict):
         return (_bare_call(value, where),)
     items = expect(value, list, where)
-    return tuple(_bare_call(item, f"{where}[{n}]") for n, item in enumerate(items))
+    return tuple([_bare_call(item, f"{where}[{n}]") for n, item in enumerate(items)])
 
 
 def _bare_call(item: Any, where: str) -> Call:
