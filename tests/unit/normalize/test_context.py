@@ -27,6 +27,7 @@ from authguard_r.normalize.context import (
     channel_labels,
 )
 from authguard_r.normalize.labels import label_fields
+from patience import patient
 from unit.normalize.dialogue import as_json, binder, read
 
 #: `tab:provenance` as docs/spec/provenance.md has it, for the context of a planner.
@@ -428,7 +429,7 @@ def test_no_input_of_any_length_takes_a_second(piece: str) -> None:
         begin = time.process_time()
         with contextlib.suppress(MalformedError):
             ledger().add("ocr", text)
-        assert time.process_time() - begin < 3  # 0.6 s at worst; the machine may be busy
+        assert time.process_time() - begin < patient(1)
 
 
 # -- evidence only ---------------------------------------------------------------------------------

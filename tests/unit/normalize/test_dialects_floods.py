@@ -19,6 +19,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Dialect, read_plan
 from authguard_r.normalize.parse import MAX_TEXT, read_text
+from patience import patient
 from unit.normalize.writers import WAYS, Call, as_exact_openai
 
 SECOND, MEMORY = 1.0, 200_000_000
@@ -29,7 +30,7 @@ def refused_cheaply(read: Callable[[], Any], *, watch_memory: bool = True) -> Ma
     start = time.process_time()
     with pytest.raises(MalformedError) as caught:
         read()
-    assert time.process_time() - start < SECOND
+    assert time.process_time() - start < patient(SECOND)
     assert caught.value.where
     if watch_memory:  # measured apart: the measuring itself is slow
         tracemalloc.start()
@@ -145,7 +146,7 @@ def test_10_000_levels_of_anything_are_refused_or_flat_text(opening: str, place:
         else:  # free text is flat: a name of 10,000 words, which no binding knows
             assert dialect in {Dialect.STEPS, Dialect.SPINE, Dialect.AUTO}
             assert all(isinstance(word, str) for call in calls for word in call.arguments.values())
-        assert time.process_time() - start < SECOND
+        assert time.process_time() - start < patient(SECOND)
     assert all(places)
 
 

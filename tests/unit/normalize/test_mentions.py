@@ -18,6 +18,7 @@ from authguard_r.normalize.context import CHANNELS, KEPT, WINDOW, ContextLedger
 from authguard_r.normalize.folding import fold, loosen, skeleton
 from authguard_r.normalize.mentions import How, Names
 from authguard_r.normalize.numerals import ORDINAL, read_tokens
+from patience import patient
 from unit.normalize.dialogue import binder
 
 CONFUSABLES = (
@@ -460,7 +461,7 @@ def test_a_hundred_kilobytes_are_read_in_well_under_a_second(text: str) -> None:
     context = ContextLedger(binder().spellings())
     begin = time.process_time()
     context.add("ocr", text)
-    assert time.process_time() - begin < 3  # a quarter of a second; the machine may be busy
+    assert time.process_time() - begin < patient(1)
 
 
 @pytest.mark.parametrize(
@@ -473,7 +474,7 @@ def test_many_small_inputs_on_every_channel_are_no_burden(pieces: list[str]) -> 
     begin = time.process_time()
     for number, piece in enumerate(pieces):
         context.add(sorted(CHANNELS)[number % len(CHANNELS)], piece)
-    assert time.process_time() - begin < 4
+    assert time.process_time() - begin < patient(1)
 
 
 def test_a_flood_of_mentions_keeps_the_first_and_the_last() -> None:

@@ -18,6 +18,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.parse import MAX_TEXT
+from patience import patient
 from unit.normalize.dialogue import WRITERS, as_json, as_openai, binder, read, refused
 
 REPLIES = sorted((worlds.HOSPITAL / "replies").iterdir())
@@ -163,7 +164,7 @@ def test_a_flood_is_refused_within_a_second(data: bytes) -> None:
     start = time.process_time()
     with pytest.raises(MalformedError) as caught:
         read(data)
-    assert time.process_time() - start < 1.0
+    assert time.process_time() - start < patient(1)
     assert caught.value.reason in OURS
 
 

@@ -26,6 +26,7 @@ from authguard_r.site.model import Parameter, Site
 from authguard_r.site.places import adjacent
 from authguard_r.site.source import convert, parse_site, read_site, read_text, read_yaml
 from authguard_r.site.strict import MAX_DEPTH, MAX_NODES
+from patience import patient
 
 SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 
@@ -181,7 +182,7 @@ def test_the_message_says_the_line() -> None:
 def test_nesting_that_would_overflow_the_stack_is_refused(text: str) -> None:
     start = time.process_time()
     refused(text)
-    assert time.process_time() - start < 5
+    assert time.process_time() - start < patient(1)
 
 
 @settings(max_examples=200, deadline=None)
@@ -233,7 +234,7 @@ def test_a_megabyte_of_yaml_is_read_or_refused_at_once(text: str) -> None:
     begin = time.process_time()
     with contextlib.suppress(MalformedError):
         read_yaml(text, where="x")
-    assert time.process_time() - begin < 3  # well under a second; the machine may be busy
+    assert time.process_time() - begin < patient(1)
 
 
 def test_more_keys_and_values_than_a_text_may_have_are_refused() -> None:
