@@ -57,6 +57,7 @@ def to_yaml(proposal: Proposal, *, where: str) -> str:
     Raises:
         MalformedError: the file would be longer than a site may be, or the site has faults.
     """
+    require_sound(proposal.site, where=where)  # before it is written: a reader mends line breaks
     plain = {"schema": proposal.site.schema, **msgspec.to_builtins(proposal.site)}
     body = yaml.dump(
         plain, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True,
@@ -66,7 +67,7 @@ def to_yaml(proposal: Proposal, *, where: str) -> str:
     text = f"# Imported. Before the site authority signs this:\n{head}{body}"
     if len(text.encode()) > MAX_BYTES:
         raise MalformedError(f"expected a site of at most {MAX_BYTES} bytes", where=where)
-    if require_sound(parse_site(text, where=where), where=where) != proposal.site:
+    if parse_site(text, where=where) != proposal.site:
         raise RuntimeError("a site was written that reads as another")  # pragma: no cover
     return text
 

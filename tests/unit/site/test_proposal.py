@@ -76,6 +76,14 @@ def test_a_file_with_any_names_reads_as_the_site_or_is_refused(names: list[str])
     assert parse_site(text, where="x") == site
 
 
+@pytest.mark.parametrize("name", ["0\x850", "a\nb", "a\u2028b", "a\x00b", "\x1b[2J"])
+def test_a_name_that_a_reader_of_yaml_would_mend_is_refused(name: str) -> None:
+    region = replace(worlds.site().regions["dock"], names=(name,))
+    site = replace(worlds.site(), regions={"r": region}, doors=(), objects={}, robots={})
+    with pytest.raises(MalformedError, match="printable"):
+        to_yaml(Proposal(site=site, missing=()), where="x")
+
+
 @pytest.mark.parametrize(
     "name", ["yes", "null", "1", "0x10", "a: b", "# a", "'", '"', "-", "é", "~"]
 )

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import json
-import time
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from authguard_r.site.model import Parameter, Site
 from authguard_r.site.places import adjacent
 from authguard_r.site.source import convert, parse_site, read_site, read_text, read_yaml
 from authguard_r.site.strict import MAX_DEPTH, MAX_NODES
-from patience import patient
+from patience import at_most
 
 SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 
@@ -180,9 +179,8 @@ def test_the_message_says_the_line() -> None:
 
 @pytest.mark.parametrize("text", ["[" * 10_000, "- " * 10_000, "{a: " * 10_000])
 def test_nesting_that_would_overflow_the_stack_is_refused(text: str) -> None:
-    start = time.process_time()
-    refused(text)
-    assert time.process_time() - start < patient(1)
+    with at_most(1):
+        refused(text)
 
 
 @settings(max_examples=200, deadline=None)
@@ -231,10 +229,8 @@ def filled(piece: str) -> str:
     ],
 )
 def test_a_megabyte_of_yaml_is_read_or_refused_at_once(text: str) -> None:
-    begin = time.process_time()
-    with contextlib.suppress(MalformedError):
+    with at_most(3), contextlib.suppress(MalformedError):
         read_yaml(text, where="x")
-    assert time.process_time() - begin < patient(1)
 
 
 def test_more_keys_and_values_than_a_text_may_have_are_refused() -> None:
