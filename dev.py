@@ -7,7 +7,7 @@
     python3 dev.py lint     set up, then format, lint, types, import contracts, budget of the core
     python3 dev.py bench    set up, then the benchmarks
     python3 dev.py setup    only the environment, in .venv
-    python3 dev.py fuzz     fuzz the normalizer with atheris, for a minute or SECONDS
+    python3 dev.py fuzz     fuzz normalizer and protocol with atheris, each for a minute or SECONDS
     python3 dev.py lock     work the lock file out anew from pyproject.toml
 
 What follows the name is passed on: `python3 dev.py test -k replay`.
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import venv
@@ -27,10 +28,12 @@ ENV = ROOT / ".venv"
 BIN = ENV / ("Scripts" if os.name == "nt" else "bin")
 LOCK = ROOT / "requirements.lock"
 FUZZ_LOCK = ROOT / "requirements-fuzz.lock"
+#: What a gate alone needs, for its container.
+GATE_LOCK = ROOT / "deploy" / "container" / "requirements.lock"
 UV = "uv==0.13.8"
 #: Long random campaigns: tracing their lines would only make them longer.
 CAMPAIGNS = ["properties", "integration/test_crash.py", "integration/test_power_cut.py"]
-PARALLEL = ["-n", "2", "-q"]
+PARALLEL = ["-n", "2", "--dist", "worksteal", "-q"]
 
 
 def main(arguments: list[str]) -> int:
@@ -75,6 +78,9 @@ def test(arguments: list[str]) -> int:
     first = run(["pytest", *PARALLEL, *(f"tests/{name}" for name in CAMPAIGNS)])
     others = [f"--ignore=tests/{name}" for name in CAMPAIGNS]
     covered = ["--cov", "--cov-report=term", "--cov-fail-under=100"]
+    if shutil.which("softhsm2-util") is None and "AUTHGUARD_CI" not in os.environ:
+        print("no software token here (softhsm2): keys in hardware are not tested", flush=True)
+        os.environ["AUTHGUARD_UNMEASURED"] = "*/authguard_r/keys/pkcs11.py"
     return run(["pytest", *PARALLEL, *others, *covered, "tests"]) or first
 
 
@@ -100,18 +106,21 @@ def bench(arguments: list[str]) -> int:
 
 
 def fuzz(arguments: list[str]) -> int:
-    """Fuzz the normalizer for a while; its tool is large, so it is installed when it is used."""
+    """Fuzz normalizer and protocol for a while; the tool is large, so it is installed here."""
     uv = [str(BIN / "uv"), "pip", "install", "--quiet", "--python", str(BIN / "python")]
     check([*uv, "--require-hashes", "--requirements", str(FUZZ_LOCK)])
-    return run(["python", "tests/fuzz/dialects.py", *arguments])
+    first = run(["python", "tests/fuzz/dialects.py", *arguments])
+    return run(["python", "tests/fuzz/protocol.py", *arguments]) or first
 
 
 def lock(arguments: list[str]) -> int:
     """Work out the lock files: every version, every hash, no host."""
     command = ["uv", "pip", "compile", "pyproject.toml"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
-    everything = ["--extra", "drafting", "--group", "dev", "--group", "bench"]
+    extras = ["--extra", "drafting", "--extra", "frost", "--extra", "pkcs11"]
+    everything = [*extras, "--group", "dev", "--group", "bench"]
     first = run([*command, *everything, *how, "-o", LOCK.name, *arguments])
+    first = first or run([*command, *how, "-c", LOCK.name, "-o", str(GATE_LOCK), *arguments])
     only = ["uv", "pip", "compile", "--group", "fuzz"]
     return run([*only, *how, "-o", FUZZ_LOCK.name, *arguments]) or first
 

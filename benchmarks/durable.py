@@ -15,12 +15,13 @@ from time import perf_counter_ns
 from typing import Any
 
 from authguard_r.core.encoding import encode
-from authguard_r.core.identifiers import Digest, RobotId
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.ports import Endorsed
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import Principal
-from authguard_r.keys.trust import read_trust
+from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.ledger import Act
 from authguard_r.normalize import Step, normalize
 from authguard_r.report import decision_entry
@@ -45,7 +46,7 @@ def turns(folder: Path, effort: Effort) -> dict[str, Timing]:
     held.gate.management.activate(long_mission(MID))
     (step,), evidence = held.steps()
     (wrong,), wrong_evidence = held.steps(HIJACKED)
-    bare = BareInsert(folder / "bare.db", _row_size(folder))
+    bare = BareInsert(folder / "bare.db", row_size(folder))
     forgetful = bench(MemoryStore())
     forgetful.gate.management.activate(long_mission(MID))
     subjects = [
@@ -74,7 +75,7 @@ def plans(folder: Path, effort: Effort) -> dict[str, Timing]:
     """
     held = bench(open_store(folder / "plans.db"))
     held.gate.management.activate(long_mission(MID))
-    bare = BareInsert(folder / "plans-bare.db", _row_size(folder))
+    bare = BareInsert(folder / "plans-bare.db", row_size(folder))
     timings: dict[str, Timing] = {}
     try:
         for length in LENGTHS:
@@ -97,7 +98,7 @@ def revocations(folder: Path, count: int) -> dict[str, Any]:
         Times, and whether each revocation evicted the kept mission: before it a proposal
         verifies no mission, after it the mission's own token has to be verified anew.
     """
-    trust = _Counting(worlds.trust_folder())
+    trust = _counting(worlds.trust_folder())
     held = bench(open_store(folder / "revoked.db"), trust=trust)
     (step,), evidence = held.steps()
     kept, refused, evicted = [], [], []
@@ -161,22 +162,21 @@ def sizes(folder: Path) -> dict[str, int]:
     }
 
 
-class _Counting:
-    """The trust root, counting what it verifies (`core.ports.Verifier`)."""
+class _Counting(Trust):
+    """The trust root, counting what it verifies."""
 
-    def __init__(self, folder: Path) -> None:
-        self._trust = read_trust(folder)
-        self.demo = self._trust.demo
-        self.verifications = 0
+    verifications = 0
 
-    def gate_identity(self, chain: tuple[bytes, ...], now: Now) -> tuple[RobotId, Digest]:
-        return self._trust.gate_identity(chain, now)
-
-    def verify(
-        self, message: bytes, *, signature: bytes, chain: tuple[bytes, ...], now: Now
-    ) -> Principal:
+    def verify(self, message: bytes, endorsements: tuple[Endorsed, ...], now: Now) -> Principal:
         self.verifications += 1
-        return self._trust.verify(message, signature=signature, chain=chain, now=now)
+        return super().verify(message, endorsements, now)
+
+
+def _counting(folder: Path) -> _Counting:
+    read = read_trust(folder)
+    made = _Counting(read.roots, {})
+    vars(made).update(vars(read))
+    return made
 
 
 def _verifies_anew(held: Bench, trust: _Counting, digest: Digest) -> bool:
@@ -250,7 +250,7 @@ def _inserts(bare: BareInsert, length: int) -> Callable[[], int]:
     return lambda: sum(once() for _ in range(length)) // length
 
 
-def _row_size(folder: Path) -> tuple[int, int, int]:
+def row_size(folder: Path) -> tuple[int, int, int]:
     """Return the bytes of an accepted decision's row: record, sealed values, link."""
     path = folder / "row.db"
     if not path.exists():

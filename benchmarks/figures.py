@@ -16,7 +16,7 @@ class Figure(NamedTuple):
         id: its key.
         what: for people.
         value: a ratio, or a time in `unit`.
-        unit: `x`, `ms`, `us` or empty for a truth value.
+        unit: `x`, `ms`, `MiB`, `%`, or empty for a truth value or a count.
         of: the timings that it comes from.
         target: the most that meets it; None for a number that is only shown.
         moonshot: what would be better still.
@@ -54,6 +54,20 @@ def figures(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]
     return [*_targets(timings, revoked), *_shown(timings, revoked)]
 
 
+def net(
+    timings: dict[str, Timing],
+    key: str,
+    what: str,
+    of: tuple[str, str],
+    *,
+    target: float | None = None,
+) -> Figure:
+    """Return how much longer the first took than the second, in milliseconds."""
+    value = difference(timings[of[0]], timings[of[1]]) / 1e6
+    calm = steady(*(timings[name] for name in of))
+    return Figure(key, what, value, "ms", of, target, steady=calm)
+
+
 def _targets(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
     return [
         _ratio(
@@ -78,7 +92,7 @@ def _targets(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure
             ("token.cold", "token.signatures"),
             target=1.5,
         ),
-        _net(
+        net(
             timings,
             "durable_accept_net",
             "an accepted action on disk and dispatched - a bare durable insert",
@@ -146,19 +160,19 @@ def _shown(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
             "a cold token / a cold Biscuit",
             ("token.cold", "biscuit.verify"),
         ),
-        _net(
+        net(
             timings,
             "durable_refuse_net",
             "a refusal on disk - a bare durable insert",
             ("durable.refuse", "insert.bare"),
         ),
-        _net(
+        net(
             timings,
             "durable_accept_new_state_net",
             "as `durable_accept_net`, with a new signed snapshot verified on the way",
             ("durable.accept_new_state", "insert.bare"),
         ),
-        _net(
+        net(
             timings,
             "ledger_net",
             "T_L: standing and record committed - a bare durable insert",
@@ -166,7 +180,7 @@ def _shown(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure]:
         ),
     ]
     shown += [
-        _net(
+        net(
             timings,
             f"plan_{length}_net",
             f"one action of a cold plan of {length} - a bare durable insert",
@@ -234,16 +248,3 @@ def _ratio(
     value = ratio(timings[of[0]], timings[of[1]])
     calm = steady(*(timings[name] for name in of))
     return Figure(key, what, value, "x", of, target, moonshot, calm)
-
-
-def _net(
-    timings: dict[str, Timing],
-    key: str,
-    what: str,
-    of: tuple[str, str],
-    *,
-    target: float | None = None,
-) -> Figure:
-    value = difference(timings[of[0]], timings[of[1]]) / 1e6
-    calm = steady(*(timings[name] for name in of))
-    return Figure(key, what, value, "ms", of, target, steady=calm)

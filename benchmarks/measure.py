@@ -100,7 +100,7 @@ def interleave(subjects: list[Subject], effort: Effort) -> dict[str, Timing]:
         with _quiet():
             for name, samples in _block(order, effort).items():
                 blocks[name].append(samples)
-    return {name: _timing(samples) for name, samples in blocks.items()}
+    return {name: timing_of(samples) for name, samples in blocks.items()}
 
 
 def steady(*timings: Timing) -> bool:
@@ -131,18 +131,8 @@ def percentile(samples: list[int], share: int) -> float:
     return float(ranked[max(0, math.ceil(len(ranked) * share / 100) - 1)])
 
 
-def _block(order: list[Subject], effort: Effort) -> dict[str, list[int]]:
-    samples: dict[str, list[int]] = {subject.name: [] for subject in order}
-    left = effort.calls
-    while left > 0:
-        stretch = min(left, effort.stretch)
-        left -= stretch
-        for name, once in order:
-            samples[name] += [once() for _ in range(stretch)]
-    return samples
-
-
-def _timing(blocks: list[list[int]]) -> Timing:
+def timing_of(blocks: list[list[int]]) -> Timing:
+    """Return the timing of samples in nanoseconds, block by block."""
     medians = [statistics.median(block) for block in blocks]
     every = [sample for block in blocks for sample in block]
     return Timing(
@@ -152,6 +142,17 @@ def _timing(blocks: list[list[int]]) -> Timing:
         samples=len(every),
         medians=tuple(float(median) for median in medians),
     )
+
+
+def _block(order: list[Subject], effort: Effort) -> dict[str, list[int]]:
+    samples: dict[str, list[int]] = {subject.name: [] for subject in order}
+    left = effort.calls
+    while left > 0:
+        stretch = min(left, effort.stretch)
+        left -= stretch
+        for name, once in order:
+            samples[name] += [once() for _ in range(stretch)]
+    return samples
 
 
 @contextmanager

@@ -14,12 +14,19 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import approvals
 import durable
+import gate
 import machine
 import memory
+import signatures
+import soak
+import stop
 import table
 from figures import figures
+from gate_figures import DAY, gate_figures
 from measure import Effort, Timing
+from overload import Load, overload
 
 FULL = {
     "decisions": Effort(blocks=11, calls=1_500, stretch=100, warm_up=300),
@@ -27,6 +34,7 @@ FULL = {
     "parts": Effort(blocks=11, calls=1_000, stretch=100, warm_up=200),
     "turns": Effort(blocks=11, calls=400, warm_up=500),
     "plans": Effort(blocks=7, calls=300, warm_up=10),
+    "socket": Effort(blocks=11, calls=300, stretch=20, warm_up=100),
 }
 QUICK = {
     "decisions": Effort(blocks=5, calls=500, stretch=100, warm_up=100),
@@ -34,8 +42,15 @@ QUICK = {
     "parts": Effort(blocks=5, calls=400, stretch=100, warm_up=100),
     "turns": Effort(blocks=5, calls=150, warm_up=400),
     "plans": Effort(blocks=5, calls=100, warm_up=5),
+    "socket": Effort(blocks=5, calls=60, stretch=20, warm_up=40),
 }
 REVOCATIONS = {"full": 100, "quick": 20}
+LOADS = {
+    "full": Load(rounds=7, seconds=8.0, capacity_s=3.0),
+    "quick": Load(rounds=1, seconds=3.0, capacity_s=1.0),
+}
+STOPS = {"full": (5, 400), "quick": (5, 60)}
+SOAKS = {"full": DAY, "quick": 3_000}
 
 
 def measure(effort: str, folder: Path) -> dict[str, Any]:
@@ -53,6 +68,8 @@ def measure(effort: str, folder: Path) -> dict[str, Any]:
     timings |= memory.normalizing(efforts["decisions"])
     _say("tokens beside bare signatures")
     timings |= memory.tokens(efforts["tokens"])
+    _say("approvals of several people and of a group")
+    timings |= approvals.approvals(folder, efforts["tokens"])
     _say("the parts of a decision")
     timings |= memory.parts(efforts["parts"])
     _say("durable decisions beside a bare insert")
@@ -61,16 +78,29 @@ def measure(effort: str, folder: Path) -> dict[str, Any]:
     timings |= durable.plans(folder, efforts["plans"])
     _say("revocations")
     revoked = durable.revocations(folder, REVOCATIONS[effort])
+    _say("the gate's process, over its socket")
+    timings |= gate.latency(folder, efforts["socket"])
+    _say("the gate's process under a flood")
+    loaded = overload(folder, LOADS[effort])
+    _say("stops")
+    timings |= loaded.timings | stop.stops(*STOPS[effort])
+    _say("a day's work, or a slice of it")
+    soaked = soak.soak(folder, SOAKS[effort])
     _say("sizes")
+    every = [*figures(timings, revoked), *gate_figures(timings, loaded, soaked)]
     return {
         "schema": "authguard-r/benchmarks/1",
         "effort": effort,
         **machine.describe(folder),
         "conditions": memory.counted(),
-        "figures": [figure.plain() for figure in figures(timings, revoked)],
+        "figures": [figure.plain() for figure in every],
         "timings": {name: _plain(timing) for name, timing in timings.items()},
         "revocations": revoked,
+        "overload": {**loaded.told, "p99_ms": loaded.p99_ms},
+        "soak": soaked,
         "sizes": durable.sizes(folder),
+        "tokens": signatures.token_sizes(folder),
+        "missions": signatures.mission_sizes(folder),
     }
 
 
@@ -90,7 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="Measure the gate beside its yardsticks.")
-    parser.add_argument("--quick", action="store_true", help="under a minute, with more noise")
+    parser.add_argument("--quick", action="store_true", help="two minutes, with more noise")
     parser.add_argument("--json", type=Path, help="write the results here")
     parser.add_argument("--markdown", type=Path, help="write the tables here")
     parser.add_argument(

@@ -19,7 +19,8 @@ import msgspec
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT / "tests"))
 
-import worlds  # noqa: E402 - the tests' builder lies beside the package, not in it
+import gates  # noqa: E402, F401 - the tests' harness and builder lie beside the package
+import worlds  # noqa: E402
 from authguard_r.assembly import Gate, assemble, folder_signer, gate_name  # noqa: E402
 from authguard_r.core.action import Action, ActionMeta  # noqa: E402
 from authguard_r.core.decide import decide  # noqa: E402

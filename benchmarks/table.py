@@ -13,10 +13,12 @@ def markdown(results: dict[str, Any]) -> str:
     """Return the tables of one run."""
     parts = [
         _about(results),
-        _targets(results),
+        targets(results),
         _shown(results),
         _timings(results),
         _sizes(results),
+        _tokens("token of the shipped mission, by signature", results["tokens"]),
+        _tokens("token of a mission that grows, by what it holds", results["missions"]),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -43,7 +45,8 @@ def _about(results: dict[str, Any]) -> str:
     )
 
 
-def _targets(results: dict[str, Any]) -> str:
+def targets(results: dict[str, Any]) -> str:
+    """Return what has a target, with what was measured."""
     lines = ["| compared | measured | target | meets |", "|---|---:|---:|---|"]
     for figure in results["figures"]:
         if figure["target"] is None:
@@ -90,7 +93,22 @@ def _sizes(results: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _tokens(what: str, rows: list[dict[str, Any]]) -> str:
+    """Return token sizes: with its chain and with a key id for it, raw and compressed."""
+    lines = [
+        f"| {what} (bytes) | signed payload | with chain | compressed | with key id | compressed |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        name = ", ".join(row[key] for key in ("mission", "signature") if key in row)
+        sizes = ("payload", "chain", "chain_zlib", "key_id", "key_id_zlib")
+        lines.append(f"| {name} | {' | '.join(str(row[size]) for size in sizes)} |")
+    return "\n".join(lines)
+
+
 def _value(value: Any, unit: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if not unit:
+        return f"{value:.0f}"
     return f"{value:.3f} {unit}" if unit == "ms" else f"{value:.2f} {unit}"

@@ -25,11 +25,23 @@ from authguard_r.core.decision import Decision
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.lifecycle import Status
-from authguard_r.core.mission import Budgets, DataRights, Grant, Guard, Limit, Mission, Rate, Row
+from authguard_r.core.mission import (
+    Budgets,
+    DataRights,
+    Grant,
+    Guard,
+    Limit,
+    Mission,
+    Rate,
+    RiskPolicy,
+    Row,
+)
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.standing import ApprovalRequest, OpenRelease, Spend, Standing, Use, issue
 from authguard_r.core.state import AttestedState
-from authguard_r.core.token import Principal, index_mission
+from authguard_r.core.token import Principal, Scope, index_mission
+from authguard_reference.approval import policies_of
+from authguard_reference.risk import required_of, rho, tier_of
 
 FACTS = worlds.facts()
 BASE = worlds.mission()
@@ -59,13 +71,18 @@ class Case:
 
 def plain(value: Any) -> Any:
     """Return a struct as the plain JSON data that the specification speaks of."""
-    return msgspec.json.decode(msgspec.json.encode(value))
+    return msgspec.json.decode(msgspec.json.encode(value, order="deterministic"))
 
 
 def decide_case(case: Case) -> Decision:
     """Return the gate's decision."""
     mission = case.mission
-    issuer = Principal(id=mission.issuer, role="operator", usable_until_ms=case.usable_until_ms)
+    issuer = Principal(
+        id=mission.issuer,
+        role="operator",
+        scope=worlds.EVERYWHERE,
+        usable_until_ms=case.usable_until_ms,
+    )
     verified = index_mission(mission, digest_of(Tag.MISSION, mission), issuer)
     return decide(
         verified,
@@ -133,6 +150,7 @@ def plain_facts(facts: SiteFacts) -> dict[str, Any]:
             }
             for kind, model in facts.vocabulary.items()
         },
+        **({"risk": [plain(policy) for policy in facts.risk]} if facts.risk else {}),
     }
 
 
@@ -164,7 +182,128 @@ def approved(case: Case, *, count: int = 2) -> Case:
     )
     standing = set_(case.standing, requests={case.grant.id: request}, counter=7, prompts=1)
     answers = tuple(_answer(case, request, f"supervisor-{n}") for n in range(count))
-    return replace(case, standing=standing, approvals=answers)
+    return scoped(replace(case, standing=standing, approvals=answers))
+
+
+def _places(action: Action) -> set[str]:
+    ends = {action.source, action.destination, *action.route}
+    return {place for place in ends if place is not None}
+
+
+def scoped(case: Case) -> Case:
+    """Return the case with approvers who are confined, but not out of reach of the action.
+
+    The dice are the case's own, so that what is drawn after it does not depend on this.
+    """
+    rnd = Random(case.now.utc_ms)
+    robots = [None, {worlds.RID}, {worlds.RID, worlds.OTHER}]
+    regions = [None, _places(case.action), {*_places(case.action), "plant-room"}]
+    return _rescoped(
+        case,
+        tuple(Scope(robots=_few(rnd, robots), regions=_few(rnd, regions)) for _ in case.approvals),
+    )
+
+
+def everywhere(case: Case) -> Case:
+    """Return the case with approvers who are confined to nothing."""
+    return _rescoped(case, (worlds.EVERYWHERE,) * len(case.approvals))
+
+
+def organized(rnd: Random) -> Case:
+    """Return a case under an organization's policies too, answered by people and by groups.
+
+    Nothing of it is made to fit: how many are needed, whose roles count, who is a member of which
+    group and whether the issuer is among them are all left to the dice.
+    """
+    case = everywhere(accepted_case(rnd))
+    while not case.approvals:
+        case = everywhere(accepted_case(rnd))
+    policies = tuple(_policy(rnd, case.mission.risk_policy) for _ in range(rnd.randrange(3)))
+    case = replace(case, facts=set_(case.facts, risk=policies))
+    need = oracle_case(case)["required"]
+    assert case.standing is not None
+    tier = rnd.choice([1, 2, 3]) if rnd.random() < 0.1 else _tier(case, need)
+    guards = (True,) * (len(case.mission.guards) + len(case.grant.guards))
+    situation = digest_of(Tag.SITUATION, Situation(guards=guards, tier=tier))
+    request = set_(case.standing.requests[case.grant.id], situation=situation, required=need)
+    standing = set_(case.standing, requests={case.grant.id: request})
+    case = replace(case, standing=standing)
+    people = [f"supervisor-{n}" for n in range(6)] + [case.mission.issuer]
+    answers = tuple(_someone(case, request, rnd, people) for _ in range(rnd.randrange(6)))
+    return replace(case, approvals=answers)
+
+
+def _policy(rnd: Random, mission: RiskPolicy) -> RiskPolicy:
+    tau = sorted(rnd.randrange(0, 60) for _ in range(2))
+    roles = tuple(
+        sorted(rnd.sample(["operator", "safety_officer", "supervisor"], rnd.randint(1, 3)))
+    )
+    return set_(
+        mission,
+        tau_1=tau[0],
+        tau_2=tau[1],
+        t=rnd.randint(2, 5),
+        roles=roles,
+        otherwise=rnd.randrange(20),
+    )
+
+
+def _tier(case: Case, need: int) -> int:
+    """Return the tier of the policy that wants the most; by the oracle's own arithmetic."""
+    facts, mission = plain_facts(case.facts), plain(case.mission)
+    state = None
+    if case.state is not None:
+        snapshot = plain(case.state.snapshot)
+        state = {"snapshot": snapshot, "arrived_mono_ms": case.state.arrived_mono_ms}
+    tiers = []
+    for policy in policies_of(mission, facts):
+        tier = tier_of(policy, rho(policy, plain(case.action), state, facts, plain(case.now)))
+        tiers += [tier] if required_of(policy, tier) == need else []
+    return max(tiers)
+
+
+def _someone(
+    case: Case, request: ApprovalRequest, rnd: Random, people: list[str]
+) -> VerifiedApproval:
+    """Return the answer of one person, or of a group of some."""
+    by = _answer(case, request, rnd.choice(people))
+    role = rnd.choice(["supervisor", "supervisor", "safety_officer"])
+    if rnd.random() < 0.5:
+        return set_(by, approver=set_(by.approver, role=role))
+    members = frozenset(rnd.sample(people, rnd.randint(2, len(people))))
+    threshold = rnd.randint(1, len(members))
+    board = set_(by.approver, id="board-1", role=role, threshold=threshold, members=members)
+    return set_(by, approver=board)
+
+
+def beyond_reach(case: Case, rnd: Random) -> Case:
+    """Return the case with one approver who has no say about the robot or about one place."""
+    places = sorted(_places(case.action))
+    without = {*places, "plant-room"} - {rnd.choice(places)}
+    lost = rnd.choice(
+        [
+            Scope(robots=frozenset(), regions=None),
+            Scope(robots=frozenset({worlds.OTHER}), regions=frozenset(places)),
+            Scope(robots=None, regions=frozenset()),
+            Scope(robots=frozenset({worlds.RID}), regions=frozenset(without)),
+        ]
+    )
+    held = [item.approver.scope for item in case.approvals]
+    held[rnd.randrange(len(held))] = lost
+    return _rescoped(case, tuple(held))
+
+
+def _few(rnd: Random, choices: list[Any]) -> Any:
+    chosen = rnd.choice(choices)
+    return None if chosen is None else frozenset(chosen)
+
+
+def _rescoped(case: Case, scopes: tuple[Scope, ...]) -> Case:
+    answers = tuple(
+        set_(item, approver=set_(item.approver, scope=scope))
+        for item, scope in zip(case.approvals, scopes, strict=True)
+    )
+    return replace(case, approvals=answers)
 
 
 def _situation(case: Case) -> str:
@@ -187,7 +326,9 @@ def _answer(case: Case, request: ApprovalRequest, by: str, **changes: Any) -> Ve
         "expires_ms": request.expires_ms,
         "verdict": Verdict.APPROVE,
     }
-    approver = Principal(id=by, role="supervisor", usable_until_ms=worlds.START_MS + 10**9)
+    approver = Principal(
+        id=by, role="supervisor", scope=worlds.EVERYWHERE, usable_until_ms=worlds.START_MS + 10**9
+    )
     return VerifiedApproval(approval=Approval(**{**fields, **changes}), approver=approver)
 
 
@@ -685,6 +826,7 @@ ALONE: dict[str, Callable[[Random], Case]] = {
     "APPROVAL_REQUIRED": lambda rnd: (
         lambda c: rnd.choice(
             [
+                lambda: beyond_reach(c, rnd),
                 lambda: replace(c, approvals=c.approvals[:1]),
                 lambda: replace(c, approvals=()),
                 lambda: replace(c, approvals=(c.approvals[0], c.approvals[0])),

@@ -27,7 +27,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.state import AttestedState, Snapshot, attest
-from authguard_r.core.token import Principal, VerifiedMission, index_mission, sign_object
+from authguard_r.core.token import Principal, Scope, VerifiedMission, index_mission, sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, init_folder
 from authguard_r.normalize import Step
@@ -43,6 +43,8 @@ ROOT = Path(__file__).resolve().parent.parent
 HOSPITAL = ROOT / "examples" / "hospital"
 RID = RobotId("courier-1")
 OTHER = RobotId("lifter-1")
+#: A certificate that confines its holder to nothing.
+EVERYWHERE = Scope(robots=None, regions=None)
 #: The story's instant: today's keys are valid at it, and nothing depends on the real clock.
 _BEGIN = datetime.now(UTC).replace(hour=14, minute=5, second=0, microsecond=0)
 START_MS = int(_BEGIN.timestamp()) * 1000
@@ -69,7 +71,10 @@ def facts(rid: RobotId = RID) -> SiteFacts:
 def trust_folder() -> Path:
     """One demo set-up for the whole test run, with two robots and a second operator."""
     folder = Path(mkdtemp(prefix="authguard-test-")) / "trust"
-    members = (*demo_members(site(), (RID, OTHER)), Member(id="operator-2", role=Role.OPERATOR))
+    members = (
+        *demo_members(site(), (RID, OTHER)),
+        Member(id="operator-2", role=Role.OPERATOR, robots=None, regions=None),
+    )
     init_folder(folder, members, now=datetime.fromtimestamp(START_MS / 1000, UTC))
     return folder
 
@@ -96,7 +101,9 @@ def token(value: Mission | None = None, *, by: str = "operator-1") -> bytes:
 def verified(value: Mission | None = None) -> VerifiedMission:
     """Return a mission as if its token had been verified; for tests of what comes after."""
     opened = value or mission()
-    issuer = Principal(id=opened.issuer, role="operator", usable_until_ms=START_MS + 10**9)
+    issuer = Principal(
+        id=opened.issuer, role="operator", scope=EVERYWHERE, usable_until_ms=START_MS + 10**9
+    )
     return index_mission(opened, digest_of(Tag.MISSION, opened), issuer)
 
 

@@ -28,6 +28,7 @@ worlds.START_MS = 1_768_485_900_000
 worlds.NOW = type(worlds.NOW)(worlds.START_MS, 10_000)
 
 import cases  # noqa: E402
+import streams  # noqa: E402
 from authguard_r.core.encoding import Tag, b64, digest, digest_of, encode  # noqa: E402
 from authguard_r.core.errors import MalformedError  # noqa: E402
 from authguard_r.core.quantities import Now  # noqa: E402
@@ -41,8 +42,10 @@ Json = dict[str, Any]
 def main() -> None:
     """Write every file."""
     write("encoding.json", encoding_vectors())
+    write("frames.json", streams.every())
     write("gate.json", gate_vectors())
     write("normalize.json", normalize_vectors())
+    write("template.json", template_vectors())
     write("token.json", token_vectors())
 
 
@@ -196,20 +199,47 @@ NEAR: dict[str, Callable[[Random], Case]] = {
 }
 
 
+def confined(rnd: Random, without: str | None = None, **lost: Any) -> Case:
+    """Both approvers reach this robot and the action's places only; the first one lacks one."""
+    case = cases._approval_base(rnd)
+    places = cases._places(case.action)
+    held = cases.Scope(robots=frozenset({worlds.RID}), regions=frozenset(places))
+    gone = {getattr(case.action, without)} if without else set()
+    first = cases.set_(held, **{"regions": frozenset(places - gone), **lost})
+    return cases._rescoped(case, (first, held))
+
+
+#: Approvers whose certificates confine them: to what the action needs, or to less.
+SCOPES: dict[str, Callable[[Random], Case]] = {
+    "approvers who reach the robot and the action's places": confined,
+    "an approver without the destination": lambda rnd: confined(rnd, "destination"),
+    "an approver without the source": lambda rnd: confined(rnd, "source"),
+    "an approver without the robot": lambda rnd: confined(rnd, robots=frozenset({worlds.OTHER})),
+    "an approver without any region": lambda rnd: confined(rnd, regions=frozenset()),
+}
+
+
 def gate_vectors() -> Json:
     """For every reason: a case that has it alone, and a near miss that is accepted."""
     vectors: list[Json] = []
     for reason in sorted(ALONE):
         vectors.append(gate_vector(reason, "alone", ALONE[reason]))
         vectors.append(gate_vector(reason, "near miss", NEAR.get(reason, cases._plain)))
+    for name, build in SCOPES.items():
+        lost = name.startswith("an approver without")
+        kind, reason = ("alone" if lost else "near miss"), "APPROVAL_REQUIRED"
+        vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
     return {"facts": cases.plain_facts(cases.FACTS), "vectors": vectors}
 
 
-def gate_vector(reason: str, kind: str, build: Callable[[Random], Case]) -> Json:
+def gate_vector(
+    reason: str, kind: str, build: Callable[[Random], Case], *, confined: bool = False
+) -> Json:
     """Return the first case from the seed on that is what its kind says."""
     wanted = [reason] if kind == "alone" else []
     for seed in range(1_000):
         case = build(Random(seed))
+        case = case if confined else cases.everywhere(case)
         decision = cases.decide_case(case)
         if [str(r) for r in decision.reasons] == wanted:
             return {
@@ -301,67 +331,202 @@ def normalize_vectors() -> Json:
     }
 
 
+# templates
+
+
+def template_vectors() -> Json:
+    """A template, instances with the missions that they make or why not, and unsound templates."""
+    import deliveries
+    from authguard_r.core.errors import AuthGuardError
+    from authguard_r.templates import covered, require_sound
+
+    template, hashed = deliveries.template(), deliveries.digest()
+    made = deliveries.instance()
+    fill = made.fill
+    asked: dict[str, Json] = {
+        "the first values": {},
+        "the last values": {"fill": {"package": "package-p2", "station": "station-103"}},
+        "a value outside its set": {"fill": {**fill, "station": "plant-room"}},
+        "a hole too few": {"fill": {"package": "package-p1"}},
+        "a hole too many": {"fill": {**fill, "tool": "gripper"}},
+        "another template's": {"template": "A" * 43},
+        "a name under another template": {"mid": "delivery.1"},
+        "a name with nothing of its own": {"mid": "deliver."},
+        "a second too long": {"expiry": "2026-01-15T14:30:01Z"},
+        "after the template's end": {
+            "not_before": "2027-01-01T00:00:00Z",
+            "expiry": "2027-01-01T00:01:00Z",
+        },
+    }
+    instances = []
+    for name, changes in asked.items():
+        instance = cases.set_(made, **changes)
+        try:
+            mission = covered(instance, template, hashed)
+            digested = digest_of(Tag.MISSION, mission)
+            expect: Json = {"mission": plain(mission), "digest": digested}
+        except AuthGuardError as error:
+            expect = {"refusal": {"reason": str(error.reason), "where": error.where}}
+        instances.append({"name": name, "instance": plain(instance), "expect": expect})
+    hole = {"hole": "station"}
+    unsound = {
+        "a hole for a tool": deliveries.edited((("actions", 0, "tool"), hole)),
+        "a hole for a whole row": deliveries.edited((("actions", 0, "alternatives", 0), hole)),
+        "a place for an object": deliveries.edited(
+            (("actions", 1, "alternatives", 0, "object"), hole)
+        ),
+        "a hole that nobody declared": deliveries.edited((("regions", 0), {"hole": "nowhere"})),
+        "a nonce of its own": deliveries.edited((("nonce",), "A" * 22)),
+        "a number in the task": deliveries.edited((("task",), ["go", 1])),
+    }
+    refused = []
+    for name, value in unsound.items():
+        try:
+            require_sound(value)
+        except MalformedError as error:
+            expect = {"reason": str(error.reason), "where": error.where}
+            refused.append({"name": name, "template": plain(value), "expect": expect})
+    return {
+        "template": plain(template),
+        "digest": hashed,
+        "instances": instances,
+        "unsound": refused,
+    }
+
+
 # tokens
 
 
 def token_vectors() -> Json:
-    """Tokens under a root that lives for a century, and why each is refused."""
-    from datetime import UTC, datetime
+    """Tokens under roots that live for a century, and why each is refused."""
+    from authguard_r.keys.algorithms import Algorithm
 
-    from authguard_r.assembly import demo_members, folder_signer
-    from authguard_r.keys.setup import init_folder
-
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
     with TemporaryDirectory() as name:
-        folder = Path(name) / "trust"
-        init_folder(folder, demo_members(worlds.site(), (worlds.RID,)), now=begin, days=36_500)
-        operator = folder_signer(folder, "operator-1")
-        supervisor = folder_signer(folder, "supervisor-1")
-        mission = worlds.mission()
-        good = sign_object(mission, Tag.MISSION, operator).decode()
-        other = sign_object(mission, Tag.SELECTION, operator).decode()
-        foreign = cases.set_(mission, issuer="operator-9")
-        unsound = cases.set_(mission, not_before="2030-01-01T00:00:00Z")
-        tokens = {
-            "authentic": (good, None),
-            "signed by a supervisor": (
-                sign_object(
-                    cases.set_(mission, issuer="supervisor-1"), Tag.MISSION, supervisor
-                ).decode(),
-                "ROLE_DENIED",
-            ),
-            "another issuer in the mission": (
-                sign_object(foreign, Tag.MISSION, operator).decode(),
-                "ISSUER_MISMATCH",
-            ),
-            "another kind": (other, "WRONG_KIND"),
-            "another kind relabeled": (
-                other.replace(Tag.SELECTION, Tag.MISSION),
-                "SIGNATURE_INVALID",
-            ),
-            "ends before it begins": (
-                sign_object(unsound, Tag.MISSION, operator).decode(),
-                "SCHEMA_INVALID",
-            ),
-            "a space": (good.replace('":', '": ', 1), "NOT_CANONICAL"),
-            "cut off": (good[:-10], "MALFORMED"),
-        }
-        lists = {p.stem: p.read_text() for p in sorted((folder / "revocations").glob("*.json"))}
-        authorities = {
-            p.stem: p.read_text() for p in sorted((folder / "authorities").glob("*.pem"))
-        }
+        folder = trust_set_up(Path(name) / "one")
+        content = trust_parts(folder, tokens(folder))
+        both = trust_set_up(Path(name) / "two", Algorithm.ED25519, Algorithm.ML_DSA_65)
         return {
+            **content,
+            "hybrid": trust_parts(both, hybrid_tokens(both)),
             "now_ms": worlds.START_MS,
-            "root": (folder / "root.pem").read_text(),
-            "authorities": authorities,
-            "revocations": lists,
             "roles": ["operator", "safety_officer"],
-            "vectors": [
-                {"name": n, "token": t, "expect": e or "ok"} for n, (t, e) in tokens.items()
-            ],
-            "raw_digest_of_authentic": digest(Tag.RAW, good.encode()),
+            "raw_digest_of_authentic": digest(Tag.RAW, content["vectors"][0]["token"].encode()),
             "note": b64(b"keys are made anew at each generation; only the public parts are here"),
         }
+
+
+def trust_set_up(folder: Path, *algorithms: Any) -> Path:
+    """Make a trust folder in which one more operator is confined to a robot and its regions."""
+    from datetime import UTC, datetime
+
+    from authguard_r.assembly import demo_members
+    from authguard_r.keys.certificate import Role
+    from authguard_r.keys.setup import Member, init_folder
+
+    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    operator, regions = Role.OPERATOR, worlds.mission().regions
+    members = (
+        *demo_members(worlds.site(), (worlds.RID,)),
+        Member(id="confined", role=operator, robots=(worlds.RID,), regions=regions),
+        Member(id="no-robot", role=operator, regions=regions),
+        Member(id="another-robot", role=operator, robots=(worlds.OTHER,), regions=regions),
+        Member(id="one-region-less", role=operator, robots=(worlds.RID,), regions=regions[1:]),
+    )
+    known = {"algorithms": algorithms} if algorithms else {}
+    init_folder(folder, members, now=begin, days=36_500, **known)
+    return folder
+
+
+def trust_parts(folder: Path, made: dict[str, tuple[str, str | None]]) -> Json:
+    """Return the public parts of a trust folder with tokens for them."""
+    lists = {p.stem: p.read_text() for p in sorted((folder / "revocations").glob("*.json"))}
+    authorities = {p.stem: p.read_text() for p in sorted((folder / "authorities").glob("*.pem"))}
+    return {
+        "root": (folder / "root.pem").read_text(),
+        "authorities": authorities,
+        "revocations": lists,
+        "vectors": [{"name": n, "token": t, "expect": e or "ok"} for n, (t, e) in made.items()],
+    }
+
+
+def signed_mission(folder: Path, by: str, **changes: Any) -> str:
+    """Return the hospital's mission with another issuer, signed by it."""
+    from authguard_r.assembly import folder_signer
+
+    mission = cases.set_(worlds.mission(), **{"issuer": by, **changes})
+    return sign_object(mission, Tag.MISSION, folder_signer(folder, by)).decode()
+
+
+def tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
+    """Return tokens under one root."""
+    from authguard_r.assembly import folder_signer
+
+    operator = folder_signer(folder, "operator-1")
+    good = signed_mission(folder, "operator-1")
+    other = sign_object(worlds.mission(), Tag.SELECTION, operator).decode()
+    late = "2030-01-01T00:00:00Z"
+    return {
+        "authentic": (good, None),
+        "signed by a supervisor": (signed_mission(folder, "supervisor-1"), "ROLE_DENIED"),
+        "another issuer in the mission": (
+            signed_mission(folder, "operator-1", issuer="operator-9"),
+            "ISSUER_MISMATCH",
+        ),
+        "another kind": (other, "WRONG_KIND"),
+        "another kind relabeled": (other.replace(Tag.SELECTION, Tag.MISSION), "SIGNATURE_INVALID"),
+        "ends before it begins": (
+            signed_mission(folder, "operator-1", not_before=late),
+            "SCHEMA_INVALID",
+        ),
+        "a space": (good.replace('":', '": ', 1), "NOT_CANONICAL"),
+        "cut off": (good[:-10], "MALFORMED"),
+        "by an operator of this robot and these regions": (
+            signed_mission(folder, "confined"),
+            None,
+        ),
+        "by an operator of no robot": (signed_mission(folder, "no-robot"), "SIGNER_OUT_OF_SCOPE"),
+        "by an operator of another robot": (
+            signed_mission(folder, "another-robot"),
+            "SIGNER_OUT_OF_SCOPE",
+        ),
+        "by an operator of one region less": (
+            signed_mission(folder, "one-region-less"),
+            "SIGNER_OUT_OF_SCOPE",
+        ),
+    }
+
+
+def hybrid_tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
+    """Return tokens under two roots, which want a signature under each."""
+    from authguard_r.core.encoding import encode_fast
+    from authguard_r.core.token import read_token
+
+    good = signed_mission(folder, "operator-1")
+    whole = read_token(good.encode())
+    first, second = whole.endorsements
+    foreign = read_token(signed_mission(folder, "confined", issuer="operator-1").encode())
+
+    def made_of(*endorsements: Any) -> str:
+        return encode_fast(cases.set_(whole, endorsements=endorsements)).decode()
+
+    return {
+        "authentic": (good, None),
+        "the other way round": (made_of(second, first), None),
+        "without the second signature": (made_of(first), "SIGNATURE_MISSING"),
+        "without the first signature": (made_of(second), "SIGNATURE_MISSING"),
+        "the first signature twice": (made_of(first, first), "SIGNATURE_MISSING"),
+        "the signatures exchanged": (
+            made_of(
+                cases.set_(first, signature=second.signature),
+                cases.set_(second, signature=first.signature),
+            ),
+            "SIGNATURE_INVALID",
+        ),
+        "the second signature of another principal": (
+            made_of(first, foreign.endorsements[1]),
+            "ISSUER_MISMATCH",
+        ),
+    }
 
 
 if __name__ == "__main__":

@@ -14,16 +14,23 @@ reach around any library (docs/explanation/architecture.md).
     Gate             one robot's gate, whole
     assemble         a gate from its parts
     simulate         a gate over the symbolic robot
+
+A name is read from its module when it is first used: importing one part of the package, as the
+stop lane does, must not bring in the store and the decision with it.
 """
 
 from __future__ import annotations
 
-from authguard_r.assembly import Gate, assemble, simulate
-from authguard_r.core.action import Action
-from authguard_r.core.decision import Decision
-from authguard_r.core.mission import Mission
-from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
-from authguard_r.enforcement import evaluate
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from authguard_r.assembly import Gate, assemble, simulate
+    from authguard_r.core.action import Action
+    from authguard_r.core.decision import Decision
+    from authguard_r.core.mission import Mission
+    from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
+    from authguard_r.enforcement import evaluate
 
 __all__ = [
     "Action",
@@ -37,3 +44,23 @@ __all__ = [
     "simulate",
     "verify_mission",
 ]
+
+_HOMES = {
+    "Action": "core.action",
+    "Decision": "core.decision",
+    "Gate": "assembly",
+    "Mission": "core.mission",
+    "VerifiedMission": "core.token",
+    "assemble": "assembly",
+    "evaluate": "enforcement",
+    "sign_object": "core.token",
+    "simulate": "assembly",
+    "verify_mission": "core.token",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Return one of the ten names from the module in which it lives."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

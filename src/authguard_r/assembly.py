@@ -8,59 +8,57 @@ Spec page: docs/explanation/architecture.md
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
+from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
 
+from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
+from msgspec.structs import replace
 
+from authguard_r.anchoring.anchor import Anchor, read_counter
+from authguard_r.anchoring.counter import Counter
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.action import Action
-from authguard_r.core.encoding import Tag, b64, decode
-from authguard_r.core.errors import ControllerError, EnvironmentFault, MalformedError, StoreError
+from authguard_r.core.encoding import Tag, b64
+from authguard_r.core.errors import (
+    AuthGuardError,
+    ControllerError,
+    EnvironmentFault,
+    MalformedError,
+    StoreError,
+)
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Digest, RobotId
+from authguard_r.core.identifiers import Digest, Identifier, RobotId
 from authguard_r.core.lease import Lease
+from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.ports import Clock, Controller, Flight, SafetyGate, Signer, StateSource, Store
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement import Enforcer
 from authguard_r.intake import Intake
+from authguard_r.keys.beginning import boot_ms, chain_ms
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.ledger import High, Ledger
+from authguard_r.ledger import Ledger, last_commit_ms
 from authguard_r.management import Management
+from authguard_r.management.lists import Lists
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
+from authguard_r.refusals import RefusalPolicy
+from authguard_r.running import STAND_WITHIN_MS, Watch
 from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, safety_digest
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site, facts_of, profile_digest
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.sqlite import open_store, read_held, read_rows
-
-#: What the first record of a log with simulated time says of its clock.
-SIMULATED = "simulated"
-
-
-class SystemClock:
-    """The machine's clocks (`core.ports.Clock`)."""
-
-    def wall_ms(self) -> int:
-        """Return the wall clock."""
-        return time.time_ns() // 1_000_000
-
-    def mono_ms(self) -> int:
-        """Return the monotonic clock."""
-        return time.monotonic_ns() // 1_000_000
-
-    def pause(self, duration_ms: int) -> None:
-        """Sleep."""
-        time.sleep(duration_ms / 1_000)
+from authguard_r.store.sqlite import open_store
+from authguard_r.times import SIMULATED, last_epoch, store_clock
 
 
 class Gate(Struct, frozen=True, kw_only=True):
@@ -71,17 +69,27 @@ class Gate(Struct, frozen=True, kw_only=True):
         management: the operator's side.
         ledger: store and trusted time.
         facts: the site and who this gate is.
+        safety: the second gate, for what-ifs too.
+        watch: holds the controller; for the emergency road.
         trust: who may say what.
+        lists: the revocation lists in force.
+        anchor: whether the store is the one that was counted outside of it.
     """
 
     enforcer: Enforcer
     management: Management
+    lists: Lists
+    anchor: Anchor
     ledger: Ledger
     facts: SiteFacts
+    safety: SafetyGate
+    watch: Watch
     trust: Trust
 
     def close(self) -> None:
-        """Let go of the store."""
+        """Count a last time how far the log has come, if it can be, and let go of the store."""
+        with suppress(AuthGuardError):
+            self.anchor.count()
         self.ledger.close()
 
 
@@ -98,6 +106,12 @@ def assemble(
     genesis: dict[str, object],
     demo: bool = False,
     salts: Callable[[int], bytes] = os.urandom,
+    refusals: RefusalPolicy = RefusalPolicy(),  # noqa: B008 - frozen
+    stand_within_ms: int = STAND_WITHIN_MS,
+    marks: dict[str, str] | None = None,
+    risk: tuple[RiskPolicy, ...] = (),
+    counter: Counter | None = None,
+    signer: Signer | None = None,
 ) -> Gate:
     """Return the gate made of these parts.
 
@@ -113,6 +127,12 @@ def assemble(
         genesis: what else the log's first record says.
         demo: take a root that says `demo`; nothing that guards a real robot does.
         salts: randomness for commitments.
+        refusals: what of refusals waits and what is counted.
+        stand_within_ms: how long a stopped robot may take to stand.
+        marks: what every record of the log says: that it is of a shadow run.
+        risk: the organization's policies, to be held against the store (`hold_policy`).
+        counter: kept outside of the store; without one, a store that was put back is not known.
+        signer: the gate's own key, for the counter; given together with one.
 
     Raises:
         AuthenticityError: the gate's certificate does not hold.
@@ -121,20 +141,110 @@ def assemble(
     """
     try:
         _require_real(trust, demo=demo)
-        rid, profile = trust.gate_identity(chain, Now(clock.wall_ms(), 0))
-        facts = facts_of(site, rid=rid, profile=profile)
-        first = {"site": facts.digest, "profile": profile, "demo": trust.demo, **genesis}
-        ledger = Ledger(store, clock, robot=rid, salts=salts, genesis=first, inputs={"site": site})
+        reading = read_counter(counter, verifier=trust)
+        since_ms = max(chain_ms(chain), reading.time_ms)
+        at = boot_ms(clock.wall_ms(), trust, since_ms, store.run(last_commit_ms))
+        rid, profile = trust.gate_identity(chain, Now(at, 0))
+        facts = replace(facts_of(site, rid=rid, profile=profile), risk=risk)
+        ledger = Ledger(
+            store,
+            clock,
+            robot=rid,
+            salts=salts,
+            genesis={**_first(facts, trust), **genesis},
+            inputs={"site": site},
+            refusals=refusals,
+            marks=marks,
+            since_ms=since_ms,
+        )
+        _require_same_log(ledger, trust, marks or {})
+        anchor = Anchor(ledger, robot=rid, counter=counter, signer=signer, reading=reading)
     except BaseException:
         store.close()  # it was handed over; a gate that is not made holds nothing
         raise
-    intake = Intake(ledger, trust, source=source, facts=facts)
-    enforcer = Enforcer(
-        ledger, intake, facts=facts, safety=safety, controller=controller, clock=clock
+    intake = Intake(ledger, trust, source=source, facts=facts, anchor=anchor)
+    watch = Watch(
+        ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
     )
+    enforcer = Enforcer(ledger, intake, facts=facts, safety=safety, watch=watch, clock=clock)
     management = Management(ledger, intake, verifier=trust, facts=facts)
+    anchor.begin()
     enforcer.before_first(management.recover)
-    return Gate(enforcer=enforcer, management=management, ledger=ledger, facts=facts, trust=trust)
+    return Gate(
+        enforcer=enforcer,
+        management=management,
+        lists=_lists(ledger, enforcer, trust, chain=chain),
+        anchor=anchor,
+        ledger=ledger,
+        facts=facts,
+        safety=safety,
+        watch=watch,
+        trust=trust,
+    )
+
+
+def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[bytes, ...]) -> Lists:
+    """Return the lists, the newest of folder and store in force; the gate has to hold under them.
+
+    Raises:
+        AuthenticityError: a list that the store holds revokes the gate itself.
+        StoreError: what the store holds is no list.
+    """
+
+    def dismissed() -> None:
+        """Release nothing more: a list revoked the gate itself."""
+        enforcer.before_first(lambda: trust.gate_identity(chain, ledger.now()))
+        enforcer.stop(by=Identifier("gate"), is_planner=False)
+
+    lists = Lists(ledger, enforcer.intake, trust, chain=chain, dismissed=dismissed)
+    try:
+        if lists.begin():
+            trust.gate_identity(chain, Now(ledger.last_ms(), 0))
+    except BaseException:
+        ledger.store.close()
+        raise
+    return lists
+
+
+def _first(facts: SiteFacts, trust: Trust) -> dict[str, object]:
+    """Return what the log's first record says of the gate that began it."""
+    return {
+        "site": facts.digest,
+        "profile": facts.robot.profile,
+        "demo": trust.demo,
+        "root": root_digest(trust),
+    }
+
+
+def root_digest(trust: Trust) -> str:
+    """Return the SHA-256 of the root certificate: whose log this is."""
+    return b64(sha256(trust.root.public_bytes(Encoding.DER)).digest())
+
+
+def _require_same_log(ledger: Ledger, trust: Trust, marks: dict[str, str]) -> None:
+    """Refuse a store whose log began under another root, or in another mode.
+
+    A shadow run assumes that what it would have released succeeded: none of that may count when
+    something is enforced.
+    """
+    rows = ledger.peek(lambda turn: turn.rows(0, 1))
+    try:
+        began = read_record(rows[0][1] if rows else b"", where="record 0").open
+    except MalformedError as error:
+        raise StoreError(error.message, where="record 0", reason=Reason.STORE_CORRUPT) from error
+    if began.get("root", root_digest(trust)) != root_digest(trust):
+        raise StoreError(
+            "the store's log began under another trust root; this one needs a store of its own",
+            where="store",
+            reason=Reason.ROBOT_MISMATCH,
+        )
+    if began.get("mode", "enforce") != marks.get("mode", "enforce"):
+        raise StoreError(
+            f"the store's log began in mode `{began.get('mode', 'enforce')}`; "
+            "each mode needs a store of its own",
+            where="store",
+            reason=Reason.STORE_UNAVAILABLE,
+        )
 
 
 def _require_real(trust: Trust, *, demo: bool) -> None:
@@ -188,6 +298,7 @@ def simulate(
     state: WorldState | None = None,
     faults: Faults | None = None,
     safety: SafetyConfig | None = None,
+    counter: Counter | None = None,
 ) -> Simulation:
     """Return a gate over the symbolic robot, with keys from a one-folder demo set-up.
 
@@ -201,6 +312,7 @@ def simulate(
         state: the world at the start; None puts everything at home.
         faults: what goes wrong in the world.
         safety: authentic safety configuration; None takes the profile's own envelope.
+        counter: kept outside of the store; None keeps none.
 
     Raises:
         AuthGuardError: a part is missing, not authentic or not usable.
@@ -213,7 +325,7 @@ def simulate(
         estimator=folder_signer(folder, f"estimator-{rid}"),
         start_ms=start_ms,
         faults=faults or Faults(),
-        epoch=1 if store is None else time.time_ns() // 1_000_000,
+        epoch=1 if store is None else max(start_ms, last_epoch(store) + 1),
     )
     signer = folder_signer(folder, gate_name(rid))
     config = safety or default_config(site, rid)
@@ -232,48 +344,11 @@ def simulate(
             "clock": SIMULATED,
         },
         demo=True,
+        counter=counter,
+        signer=None if counter is None else signer,
     )
     binder = Binder(site, binding)
     return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
-
-
-class _SimulatedSince:
-    """A clock for a store whose time is simulated: never behind what was committed there."""
-
-    def __init__(self, high_ms: int) -> None:
-        self._high_ms = high_ms
-        self._system = SystemClock()
-
-    def wall_ms(self) -> int:
-        """Return the wall clock, or the simulated time when that is ahead."""
-        return max(self._system.wall_ms(), self._high_ms)
-
-    def mono_ms(self) -> int:
-        """Return the monotonic clock."""
-        return self._system.mono_ms()
-
-    def pause(self, duration_ms: int) -> None:
-        """Sleep."""
-        self._system.pause(duration_ms)
-
-
-def store_clock(store: Path) -> Clock:
-    """Return the clock that a store's times were taken from: the machine's, or a simulated one.
-
-    Only a log that says so in its first record has simulated time; `authguard run` writes such.
-    """
-    if not store.is_file() or store.stat().st_size == 0:
-        return SystemClock()
-    try:
-        first = next(iter(read_rows(store)), None)
-        high = read_held(store, "clock", "high")
-        if first is None or high is None:
-            return SystemClock()
-        if read_record(first.record, where="record 0").open.get("clock") != SIMULATED:
-            return SystemClock()
-        return _SimulatedSince(decode(high, High, where="store.clock").utc_ms)
-    except (StoreError, MalformedError):
-        return SystemClock()  # opening the store says what is wrong with it
 
 
 class _NoRobot:
@@ -319,10 +394,10 @@ def offline_gate(folder: Path, site: Site, *, rid: RobotId, store: Path) -> Gate
 def demo_members(site: Site, rids: tuple[RobotId, ...]) -> tuple[Member, ...]:
     """Return who gets a key in a one-folder set-up: people, and the machines of each robot."""
     people = (
-        Member(id="operator-1", role=Role.OPERATOR),
-        Member(id="supervisor-1", role=Role.SUPERVISOR),
-        Member(id="supervisor-2", role=Role.SUPERVISOR),
-        Member(id="safety-officer-1", role=Role.SAFETY_OFFICER),
+        Member(id="operator-1", role=Role.OPERATOR, robots=None, regions=None),
+        Member(id="supervisor-1", role=Role.SUPERVISOR, robots=None, regions=None),
+        Member(id="supervisor-2", role=Role.SUPERVISOR, robots=None, regions=None),
+        Member(id="safety-officer-1", role=Role.SAFETY_OFFICER, robots=None, regions=None),
         Member(id="site-authority-1", role=Role.SITE_AUTHORITY),
         Member(id="witness-1", role=Role.WITNESS),
     )
@@ -330,8 +405,8 @@ def demo_members(site: Site, rids: tuple[RobotId, ...]) -> tuple[Member, ...]:
     for rid in rids:
         profile = profile_digest(site.robots[rid].profile)
         machines += [
-            Member(id=gate_name(rid), role=Role.GATE, robot=rid, profile=profile),
-            Member(id=f"estimator-{rid}", role=Role.ESTIMATOR, robot=rid),
+            Member(id=gate_name(rid), role=Role.GATE, robots=(rid,), profile=profile),
+            Member(id=f"estimator-{rid}", role=Role.ESTIMATOR, robots=(rid,)),
         ]
     return (*people, *machines)
 

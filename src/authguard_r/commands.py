@@ -23,6 +23,10 @@ class Verb(StrEnum):
     REVOKE = "revoke"
     COMPLETE = "complete"
     RESOLVE = "resolve"
+    #: Of a template, not of a mission.
+    WITHDRAW = "withdraw"
+    #: Of a store, not of a mission.
+    ACCEPT_STORE = "accept_store"
 
 
 EVENTS: dict[Verb, Event] = {
@@ -32,21 +36,40 @@ EVENTS: dict[Verb, Event] = {
     Verb.COMPLETE: Event.COMPLETE,
 }
 #: What a safety officer may order too.
-NARROWING = frozenset({Verb.SUSPEND, Verb.REVOKE})
+NARROWING = frozenset({Verb.SUSPEND, Verb.REVOKE, Verb.WITHDRAW})
+
+
+class StoreClaim(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which store somebody accepts, as it was when he looked, and in the place of which counter.
+
+    Args:
+        store: L_0, the link of its first record.
+        size: number of its records.
+        head: L_{size-1}.
+        number: the counter's, 0 when it has no authentic one.
+    """
+
+    store: Digest
+    size: Positive
+    head: Digest
+    number: Count
 
 
 class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
-    """A principal's signed order about one mission version.
+    """A principal's signed order about one mission version, a template or a store.
 
     Args:
         verb: what is asked for.
-        mid: the mission.
-        version: its version.
-        mission: digest of the signed mission.
+        mid: the mission; for `withdraw`, the template's name; for `accept_store`, the robot's.
+        version: its version; for `withdraw` and `accept_store`, 1.
+        mission: digest of the mission; for `withdraw`, of the template, which is no mission's;
+            for `accept_store`, the store's L_0.
         nonce: fresh random bytes; a command is carried out once.
         expires_ms: trusted time after which it is worth nothing.
+        issued_ms: when it was signed, by its signer's clock; 0 where nobody said.
         ticket: for `resolve`, the open release.
         outcome: for `resolve`, what became of it.
+        accepts: for `accept_store`, what is accepted.
     """
 
     verb: Verb
@@ -55,5 +78,7 @@ class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
     mission: Digest
     nonce: Base64Url
     expires_ms: Count
+    issued_ms: Count = 0
     ticket: Digest | None = None
     outcome: Outcome | None = None
+    accepts: StoreClaim | None = None

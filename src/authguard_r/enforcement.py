@@ -8,8 +8,9 @@ place and one record. Source: `alg:authguard`, `eq:execute`. Spec page: docs/spe
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import msgspec
 
@@ -18,27 +19,22 @@ from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
 from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, digest_of
-from authguard_r.core.errors import AuthGuardError, ControllerError, StoreError
+from authguard_r.core.errors import AuthGuardError, ControllerError, RefusedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.finding import Findings
 from authguard_r.core.identifiers import Digest, Identifier
-from authguard_r.core.lease import Lease, permit, still
+from authguard_r.core.lease import permit
 from authguard_r.core.lifecycle import Event
-from authguard_r.core.ports import Clock, Controller, Flight, SafetyGate
+from authguard_r.core.ports import Clock, SafetyGate
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import (
     Outcome,
-    Spend,
     Standing,
     advance,
     ask,
     close_request,
-    count_planner_stop,
-    finish,
     reserve,
-    settle,
 )
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
@@ -47,23 +43,26 @@ from authguard_r.ledger import Act, Ledger
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger, Influence
 from authguard_r.normalize.labels import label_fields
+from authguard_r.questions import counted, record_decision
 from authguard_r.report import (
     Judged,
     Refusal,
     Report,
-    alert_entry,
     decision_entry,
     fault_finding,
     open_question,
-    outcome_entry,
-    refusal_entry,
-    stop_entry,
-    suspension_entry,
+    refused_proposal,
 )
-
-T = TypeVar("T")
-#: The lease is looked at this often, in milliseconds; never more seldom than every 100.
-WATCH_MS = 100
+from authguard_r.running import (
+    WATCH_MS,
+    Keep,
+    Running,
+    Watch,
+    keep_nothing,
+    quietly,
+    require_judged,
+)
+from authguard_r.stopping import Stopping
 
 
 class Enforcer:
@@ -74,7 +73,7 @@ class Enforcer:
         intake: what may enter: state, missions, approvals, each verified.
         facts: the signed site and the gate's own identity.
         safety: the second gate.
-        controller: the actuators; nobody else has them.
+        watch: holds the actuators, nobody else has them, and looks at open leases.
         clock: for the pauses between two looks at a lease.
     """
 
@@ -85,14 +84,15 @@ class Enforcer:
         *,
         facts: SiteFacts,
         safety: SafetyGate,
-        controller: Controller,
+        watch: Watch,
         clock: Clock,
     ) -> None:
         self._ledger = ledger
         self.intake = intake
         self._facts = facts
         self._safety = safety
-        self._controller = controller
+        self._watch = watch
+        self._stopping = Stopping(ledger, intake)
         self._clock = clock
         self._first: Callable[[], object] = lambda: None
 
@@ -105,32 +105,80 @@ class Enforcer:
     ) -> Report:
         """Decide one step and, if both gates accept, carry it out to its outcome.
 
+        Args: as in `submit`.
+        """
+        begun = self.submit(step, planner=planner, evidence=evidence, context=context)
+        if isinstance(begun, Report):
+            return begun
+        while True:
+            report = begun.poll()
+            if report is not None:
+                return report
+            self._clock.pause(WATCH_MS)
+
+    def submit(
+        self,
+        step: Step,
+        *,
+        planner: Identifier,
+        evidence: Digest,
+        context: ContextLedger,
+        keep: Keep = keep_nothing,
+        inputs: Mapping[str, Any] | None = None,
+    ) -> Report | Running:
+        """Decide one step and, if both gates accept, begin it; whoever asked watches it.
+
         Args:
             step: one bound step of a plan; anybody may have written it.
             planner: the client that proposed, named by the caller's channel.
             evidence: digest of the planner's bytes.
             context: what the planner could have seen.
+            keep: holds something beside what the decision and the outcome change.
+            inputs: what to seal beside a refusal that has no decision.
+
+        Returns:
+            The final report, or the action while it runs: somebody has to `poll` it then.
         """
         base, influences = context.base(), context.influences(step.action)
 
-        def job(act: Act) -> tuple[Judged, int]:
+        def job(act: Act) -> Report:
             judged = self._judge(act, step, planner=planner, evidence=evidence, base=base)
-            self._commit(act, judged)
-            return judged, act.record(decision_entry(judged, influences))
+            entry = decision_entry(judged, influences, counted(judged, self._facts))
+            report = Report(judged=judged, influences=influences)
+            if not self._commit(act, judged):
+                fold = (planner, *_cause(judged))
+                return msgspec.structs.replace(report, seq=act.refuse(entry, fold=fold))
+            seq = record_decision(act, judged, entry)
+            keep(act, report, seq)
+            return msgspec.structs.replace(report, seq=seq)
 
         try:
+            self._require_suspended()
             self._first()
             self._first = lambda: None
             self.intake.refresh()
-            judged, seq = self._ledger.run(job)
+            report = self._ledger.run(job)
         except AuthGuardError as error:
-            return self._refused(error, influences)
+            return self._refused(error, planner, influences, inputs)
         except Exception as error:  # noqa: BLE001 - a fault of ours refuses too
-            return self._refused(
-                AuthGuardError(type(error).__name__, reason=Reason.INTERNAL_FAULT), influences
-            )
-        report = Report(judged=judged, influences=influences, seq=seq)
-        return self._carry_out(judged, report) if judged.released else report
+            fault = AuthGuardError(type(error).__name__, reason=Reason.INTERNAL_FAULT)
+            return self._refused(fault, planner, influences)
+        return self._begin(report, keep) if require_judged(report).released else report
+
+    def settle_stops(self) -> bool:
+        """Write what an operator's stop has to change, if it is not on disk; True once it is."""
+        self._stopping.settle()
+        return not self._stopping.owes
+
+    def _require_suspended(self) -> None:
+        """Refuse everything while an operator's stop has not taken its effect on disk.
+
+        Raises:
+            RefusedError: the suspension could not be written yet (`STOPPED`).
+        """
+        if not self.settle_stops():
+            why = "an operator stopped the robot, and that could not be recorded yet"
+            raise RefusedError(why, reason=Reason.STOPPED, where="stop")
 
     def stop(self, *, by: Identifier, is_planner: bool, suspends: bool = False) -> None:
         """Brake and hold, for anyone, at once; recorded afterwards.
@@ -140,34 +188,30 @@ class Enforcer:
             is_planner: counted against the planner's budget of stops.
             suspends: an operator's stop: the mission goes on only after a signed `resume`.
         """
-        self._controller.stop()
-        entry = stop_entry(by, is_planner=is_planner)
-        self._quietly(lambda: self._ledger.note(entry))
-        if is_planner:
-            self._quietly(lambda: self._ledger.run(self._count_stop))
-        if suspends:
-            self._quietly(lambda: self._ledger.run(self._suspend))
+        self._watch.controller.stop()
+        self.stopped(by=by, is_planner=is_planner, suspends=suspends)
 
-    @staticmethod
-    def _suspend(act: Act) -> None:
-        mid = act.active()
-        standing = act.standing(mid) if mid is not None else None
-        suspended = advance(standing, Event.SUSPEND) if standing is not None else None
-        if suspended is not None:
-            act.hold(suspended)
-            act.record(suspension_entry(suspended.mid, act.now))
+    def stopped(
+        self,
+        *,
+        by: Identifier,
+        is_planner: bool,
+        suspends: bool = False,
+        details: Mapping[str, Any] | None = None,
+        why: str = "",
+    ) -> bool:
+        """Record a stop that was carried out already; True when it raised an alert.
 
-    def _count_stop(self, act: Act) -> None:
-        """Count a stop that the planner asked for; past its budget, alert the operator."""
-        mid = act.active()
-        standing = act.standing(mid) if mid is not None else None
-        if standing is None:
-            return
-        counted = count_planner_stop(standing)
-        act.hold(counted)
-        verified = self.intake.mission(act, standing.digest)
-        if counted.planner_stops > verified.mission.budgets.planner_stops:
-            act.record(alert_entry("planner stops", standing.mid, act.now))
+        Args:
+            by: see `stop`.
+            is_planner: see `stop`.
+            suspends: see `stop`.
+            details: what else lies open in the record.
+            why: the words of whoever stopped; sealed.
+        """
+        return self._stopping.record(
+            by=by, is_planner=is_planner, suspends=suspends, details=details or {}, why=why
+        )
 
     def _judge(
         self, act: Act, step: Step, *, planner: Identifier, evidence: Digest, base: Label
@@ -209,17 +253,18 @@ class Enforcer:
             state=state,
             now=now,
             ticket=digest_of(Tag.ACTION, (digested, act.head()[0])),
-            request=open_question(decision, verified, standing, now),
+            request=open_question(decision, verified, standing, now, risk=self._facts.risk),
             approvals=answered.tokens,
+            answers=answered.approvals,
         )
 
-    def _commit(self, act: Act, judged: Judged) -> None:
-        """(8) Use what a release uses, or open the question that it needs."""
+    def _commit(self, act: Act, judged: Judged) -> bool:
+        """(8) Use what a release uses, or open the question that it needs; False: nothing."""
         standing, match = judged.standing, judged.decision.match
         if standing is None or match is None:
-            return
+            return False
         grant = match.indexed.grant
-        if judged.released:
+        if judged.released and self._watch.ready(irreversible=grant.irreversible):
             kind = self._facts.vocabulary[judged.action.type]
             standing = reserve(
                 standing,
@@ -233,13 +278,16 @@ class Enforcer:
             standing = ask(standing, grant.id, judged.request)
         elif {Reason.APPROVAL_DENIED, Reason.APPROVAL_TIMEOUT} & set(judged.decision.reasons):
             standing = close_request(standing, grant.id)
-        elif judged.now.utc_ms > judged.verified.expiry_ms:
+        if not judged.released and judged.now.utc_ms > judged.verified.expiry_ms:
             standing = advance(standing, Event.EXPIRE) or standing
-        if standing is not judged.standing:
-            act.hold(standing)
+        if standing is judged.standing:
+            return False
+        act.hold(standing)
+        return True
 
-    def _carry_out(self, judged: Judged, report: Report) -> Report:
-        """Dispatch what was committed, hold the lease, record the outcome."""
+    def _begin(self, report: Report, keep: Keep) -> Report | Running:
+        """Dispatch what was committed, unless its lease does not hold any more."""
+        judged = require_judged(report)
         match = judged.decision.match
         if match is None:  # pragma: no cover - an accepted action has a match
             raise RuntimeError("an action was released without a match")
@@ -252,74 +300,56 @@ class Enforcer:
             now=judged.now,
             ticket=judged.ticket,
         )
-        findings = self._look(lease)
-        if findings:
-            return self._settle(judged, report, Outcome.NOT_STARTED, findings, Spend())
-        try:
-            flight = self._controller.dispatch(judged.action, lease)
-        except ControllerError as error:
-            findings = (fault_finding(error),)
-            return self._settle(judged, report, Outcome.NOT_STARTED, findings, Spend())
-        outcome, findings = self._watch(lease, flight)
-        return self._settle(judged, report, outcome, findings, flight.used())
+        findings = self._watch.last_look(lease, irreversible=match.indexed.grant.irreversible)
+        if not findings:
+            try:
+                flight = self._watch.controller.dispatch(judged.action, lease)
+                return Running(self._watch, report, lease=lease, flight=flight, keep=keep)
+            except ControllerError as error:
+                findings = (fault_finding(error),)
+        return self._watch.settle(report, Outcome.NOT_STARTED, findings=findings, keep=keep)
 
-    def _watch(self, lease: Lease, flight: Flight) -> tuple[Outcome, Findings]:
-        """Hold the lease until the action ends or may not go on."""
-        while True:
-            ended = flight.outcome()
-            if ended is not None:
-                return ended, ()
-            self._clock.pause(WATCH_MS)
-            findings = self._look(lease)
-            if findings and flight.outcome() is None:
-                self._controller.stop()
-                return Outcome.ABORTED, findings
-
-    def _look(self, lease: Lease) -> Findings:
-        """Ask the lease's conditions on new state; not being able to ask is a reason to stop."""
-        try:
-            state, now = self.intake.refresh(), self._ledger.now()
-            standing = self._ledger.standing(lease.mid)
-            return still(lease, state, facts=self._facts, now=now, standing=standing)
-        except AuthGuardError as error:
-            return (fault_finding(error),)
-
-    def _settle(
-        self, judged: Judged, report: Report, outcome: Outcome, findings: Findings, used: Spend
+    def _refused(
+        self,
+        error: AuthGuardError,
+        planner: Identifier,
+        influences: tuple[Influence, ...],
+        inputs: Mapping[str, Any] | None = None,
     ) -> Report:
-        """Record the outcome and what it used; complete the mission when that was the last."""
-        mission = judged.verified.mission
-
-        def job(act: Act) -> int:
-            standing = act.standing(mission.mid)
-            if standing is None:
-                raise StoreError("the registry's entry is gone", reason=Reason.STORE_CORRUPT)
-            after = settle(standing, mission, ticket=judged.ticket, outcome=outcome, used=used)
-            act.hold(finish(after, mission, act.now))
-            return act.record(outcome_entry(judged, outcome, findings, used, act.now))
-
-        recorded = self._quietly(lambda: self._ledger.run(job)) is not None
-        return msgspec.structs.replace(
-            report, outcome=outcome, reasons=findings, outcome_recorded=recorded
-        )
-
-    def _refused(self, error: AuthGuardError, influences: tuple[Influence, ...]) -> Report:
         """Turn an exception into a refusal with a record, if anything can still be recorded."""
-        seq = self._quietly(lambda: self._ledger.note(lambda at: refusal_entry(error, at)))
+        made = partial(refused_proposal, error, client=planner, inputs=inputs or {})
+        seq = quietly(lambda: self._ledger.refuse(made, fold=(planner, error.reason, error.where)))
         refusal = Refusal(error.reason, error.where, error.message)
         return Report(judged=None, refusal=refusal, influences=influences, seq=seq)
 
-    def refuse_plan(self, error: AuthGuardError) -> Report:
-        """Record that a whole plan could not be read; nothing of it was decided."""
-        return self._refused(error, ())
+    def refuse_plan(
+        self,
+        error: AuthGuardError,
+        *,
+        planner: Identifier,
+        inputs: Mapping[str, Any] | None = None,
+    ) -> Report:
+        """Record that a whole plan could not be read; nothing of it was decided.
 
-    @staticmethod
-    def _quietly(write: Callable[[], T]) -> T | None:
-        """Return None when the world does not let us write: the refusal itself stands."""
-        try:
-            return write()
-        except AuthGuardError:
-            return None
+        Args:
+            error: what was wrong with it.
+            planner: whose plan it was.
+            inputs: what to seal beside it: the plan itself, where a shadow run keeps it.
+        """
+        return self._refused(error, planner, (), inputs)
+
+
+def _cause(judged: Judged) -> tuple[str, str]:
+    """Return reason and field of the first finding: what repeats of a refusal have in common."""
+    finding = next(iter(judged.decision.findings), None)
+    return ("SAFETY", "") if finding is None else (finding.reason, finding.field)
+
+
+def attested_source(step: Step, state: AttestedState | None) -> Action:
+    """Return the step's action with the source that attested state settles, if it does."""
+    if "source" not in step.attested or state is None or len(state.place) != 1:
+        return step.action
+    return msgspec.structs.replace(step.action, source=next(iter(state.place)))
 
 
 def _complete(
@@ -332,9 +362,7 @@ def _complete(
     base: Label,
 ) -> Action:
     """Fill what attested state settles, label every privileged field, and say whose it is."""
-    action = step.action
-    if "source" in step.attested and state is not None and len(state.place) == 1:
-        action = msgspec.structs.replace(action, source=next(iter(state.place)))
+    action = attested_source(step, state)
     labels = label_fields(action, verified, standing, base=base)
     if "source" in step.attested and action.source is not None:
         labels["source"] = Label.TRUSTED_SENSOR

@@ -7,29 +7,63 @@ standing and no mission (L4). Spec page: docs/spec/enforcement.md#intake
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Protocol
+
 from msgspec import Struct
 
+from authguard_r.anchoring.anchor import Anchor
 from authguard_r.approvals import open_approval
 from authguard_r.audit.record import Entry
-from authguard_r.core.approval import VerifiedApproval
-from authguard_r.core.encoding import Tag, encode_fast
+from authguard_r.core.approval import Approval, VerifiedApproval
+from authguard_r.core.encoding import Tag, decode, encode_fast, unb64
 from authguard_r.core.errors import (
     AuthenticityError,
+    AuthGuardError,
     MalformedError,
     RefusedError,
     StoreError,
 )
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Digest
-from authguard_r.core.ports import StateSource, Verifier
+from authguard_r.core.identifiers import Digest, RobotId
+from authguard_r.core.ports import StateSource
+from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState, Snapshot, attest
-from authguard_r.core.token import VerifiedMission, open_token, verify_mission
-from authguard_r.ledger import Act, Ledger, read_held
+from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
+from authguard_r.ledger import SKEW_MS, Act, Ledger, read_held
+from authguard_r.templates import (
+    Delegations,
+    Instance,
+    Instantiated,
+    KeptTemplate,
+    Pair,
+    VerifiedTemplate,
+    instantiate,
+    is_pair,
+    open_template,
+)
 
 ISSUER_ROLES = frozenset({"operator", "safety_officer"})
 ESTIMATOR_ROLES = frozenset({"estimator"})
+#: Missions that are kept once they were verified: the active one, and a few before it.
+_MOST_KEPT = 16
+#: Different answers of one principal with one verdict that are kept of a request.
+_MOST_ANSWERS = 16
+
+
+class Identities(Delegations, Protocol):
+    """A verifier that can also say whose estimator a certificate is."""
+
+    def attested_robot(self, chain: tuple[bytes, ...], now: Now) -> RobotId:
+        """Return the one robot that the chain's leaf may speak of.
+
+        Raises:
+            AuthenticityError: the chain does not hold at `now`, or is not an estimator's.
+        """
+        ...
 
 
 class Answered(Struct, frozen=True):
@@ -44,14 +78,22 @@ class Intake:
 
     Args:
         ledger: for trusted time and what is held.
-        verifier: certificates and signatures.
+        verifier: certificates and signatures, and what a certificate is bound to.
         source: the estimator's channel.
         facts: the signed site and the gate's identity.
+        anchor: whether the store is the one that was counted outside of it.
     """
 
     def __init__(
-        self, ledger: Ledger, verifier: Verifier, *, source: StateSource, facts: SiteFacts
+        self,
+        ledger: Ledger,
+        verifier: Identities,
+        *,
+        source: StateSource,
+        facts: SiteFacts,
+        anchor: Anchor,
     ) -> None:
+        self.anchor = anchor
         self._ledger = ledger
         self._verifier = verifier
         self._source = source
@@ -59,6 +101,11 @@ class Intake:
         self._verified: dict[Digest, VerifiedMission] = {}
         self._state: AttestedState | None = None
         self._seen: bytes | None = None
+        self._held: bytes | None = None
+        #: Take state in while the clock is behind, too: something may be done without one.
+        self.outlasts_clock = False
+        #: Why the last snapshot was not taken in; None when it was.
+        self.fault: AuthGuardError | None = None
 
     @property
     def state(self) -> AttestedState | None:
@@ -74,30 +121,48 @@ class Intake:
         if data is None or data == self._seen:
             return self._state
         try:
-            self._state = self._attest(data)
-            self._seen = data
+            state = self._attest(data)
         except (MalformedError, AuthenticityError) as error:
-            self._seen = data
+            self._seen, self.fault = data, error
             fault = error
-            self._ledger.note(
+            self._ledger.refuse(
                 lambda at: Entry(
                     kind="intake",
                     time_ms=at,
                     decision="refused",
                     open={"what": "state", "reasons": [fault.reason]},
                     sealed={"where": fault.where, "message": fault.message},
-                )
+                ),
+                fold=("estimator", fault.reason, fault.where),
             )
+        else:
+            self._seen, self._state, self.fault = data, state, None
+            self._held = data
         return self._state
+
+    def doubt(self, now: Now) -> None:
+        """Believe nothing for having been believed before: who may sign what has changed.
+
+        Missions are verified anew when they are next asked for. The state is, now: where its
+        estimator was revoked there is none until another one attests it.
+        """
+        self.forget()
+        try:
+            if self._held is not None:
+                self._open_snapshot(self._held, now)
+        except AuthenticityError as error:
+            self._state, self._held, self.fault = None, None, error
 
     def active_mission(self, act: Act) -> VerifiedMission:
         """Return the one active mission, verified once and kept by the digest of its bytes.
 
         Raises:
-            RefusedError: no mission is active (`NO_ACTIVE_MISSION`).
+            RefusedError: no mission is active (`NO_ACTIVE_MISSION`), or the store was put back
+                (`ROLLED_BACK`).
             StoreError: its token is gone.
             AuthenticityError: its certificates do not hold any more.
         """
+        self.anchor.require()
         mid = act.active()
         standing = act.standing(mid) if mid is not None else None
         if standing is None:
@@ -109,16 +174,27 @@ class Intake:
         return self.mission(act, standing.digest)
 
     def mission(self, act: Act, digest: Digest) -> VerifiedMission:
-        """Return the mission version with this digest from the gate's own keeping."""
+        """Return the mission version with this digest from the gate's own keeping.
+
+        Raises:
+            StoreError: its token is gone, or is of another mission.
+            RefusedError: it was made of a template that was withdrawn.
+            AuthenticityError: a certificate does not hold any more.
+        """
         known = self._verified.get(digest)
         if known is not None:
             return known
-        token = act.token(digest)
-        if token is None:
-            raise StoreError(
-                "the mission's token is gone", where="mission", reason=Reason.STORE_CORRUPT
-            )
-        return self.verify_mission(token, act)
+        held = act.token(digest)
+        if held is None:
+            raise _corrupt("the mission's token is gone")
+        verified = self._verify_pair(held, act) if is_pair(held) else self.verify_mission(held, act)
+        if verified.digest != digest:
+            raise _corrupt(f"expected the token of `{digest}`, got `{verified.digest}`'s")
+        return verified
+
+    def kept(self, digest: Digest) -> VerifiedMission | None:
+        """Return a mission version that was verified before, to be shown; it gives no authority."""
+        return self._verified.get(digest)
 
     def verify_mission(self, token: bytes, act: Act) -> VerifiedMission:
         """Return the mission in a token, at the act's time, and keep it.
@@ -128,6 +204,62 @@ class Intake:
             AuthenticityError: certificate or signature does not hold.
         """
         verified = verify_mission(token, verifier=self._verifier, now=act.now, roles=ISSUER_ROLES)
+        return self._keep(verified)
+
+    def verify_template(self, token: bytes, act: Act) -> VerifiedTemplate:
+        """Return the template in a token, at the act's time.
+
+        Raises:
+            MalformedError: not a template token, or not sound.
+            AuthenticityError: certificate or signature does not hold.
+        """
+        return open_template(token, verifier=self._verifier, now=act.now, roles=ISSUER_ROLES)
+
+    def kept_template(self, act: Act, digest: Digest) -> KeptTemplate | None:
+        """Return what is kept of a template, None when it was never taken in."""
+        held = act.get("template", digest)
+        return None if held is None else read_held(held, KeptTemplate, "template")
+
+    def verify_instance(self, token: bytes, act: Act) -> tuple[Instantiated, KeptTemplate]:
+        """Return the mission in an instance token, at the act's time, and its template as kept.
+
+        Its template is verified anew: an operator whose certificate was revoked issues nothing.
+
+        Raises:
+            MalformedError: not an instance token, or its combination is not schema-valid.
+            AuthenticityError: a certificate or signature does not hold, or is for another template.
+            RefusedError: the template is not here or withdrawn, or does not cover what it says.
+        """
+        kept = self._require_template(act, claimed_template(token))
+        template = self.verify_template(kept.token.encode("ascii"), act)
+        made = instantiate(token, template, verifier=self._verifier, now=act.now)
+        self._keep(made.mission)
+        return made, kept
+
+    def _verify_pair(self, held: bytes, act: Act) -> VerifiedMission:
+        """Return a mission that a template was filled with, from both its tokens."""
+        pair = read_held(held, Pair, "token")
+        template = self.verify_template(pair.template.encode("utf-8"), act)
+        self._require_template(act, template.digest)
+        token = pair.instance.encode("utf-8")
+        made = instantiate(token, template, verifier=self._verifier, now=act.now)
+        return self._keep(made.mission)
+
+    def _require_template(self, act: Act, digest: Digest) -> KeptTemplate:
+        kept = self.kept_template(act, digest)
+        if kept is None or kept.withdrawn:
+            gone = kept is not None
+            raise RefusedError(
+                "the template was withdrawn" if gone else "no such template is here",
+                where="template",
+                reason=Reason.REVOKED if gone else Reason.MISSION_UNKNOWN,
+            )
+        return kept
+
+    def _keep(self, verified: VerifiedMission) -> VerifiedMission:
+        """Keep a mission; whoever may sign many must not be able to fill the memory."""
+        if len(self._verified) >= _MOST_KEPT:
+            self._verified.clear()
         self._verified[verified.digest] = verified
         return verified
 
@@ -136,46 +268,68 @@ class Intake:
         self._verified.clear()
 
     def take_approval(self, act: Act, token: bytes) -> VerifiedApproval:
-        """Keep an authentic answer until its request is used or dies.
+        """Keep an authentic answer to an open request until that is used or dies.
+
+        Who answers before anybody asked, or after, fills no store and consents to nothing.
 
         Raises:
             MalformedError: not an approval token.
             AuthenticityError: certificate or signature does not hold.
+            RefusedError: its signer has given this answer so often already (`BUSY`).
         """
         verified = open_approval(token, verifier=self._verifier, now=act.now)
+        if not is_asked(act, verified.approval):
+            return verified
         key = f"{verified.approval.mid}:{verified.approval.counter}"
         held = act.get("approvals", key)
         tokens = () if held is None else read_held(held, tuple[str, ...], "approvals")
+        same = [
+            kept.approval
+            for kept, _ in self._authentic(act, tokens)
+            if (kept.approver.id, kept.approval.verdict)
+            == (verified.approver.id, verified.approval.verdict)
+        ]
+        if verified.approval in same:  # one answer has many signatures, and counts once
+            return verified
+        if len(same) >= _MOST_ANSWERS:
+            raise RefusedError(
+                f"`{verified.approver.id}` has said this often enough",
+                reason=Reason.BUSY,
+                where="approval",
+            )
         text = token.decode("ascii").strip()
-        if text not in tokens:
-            act.put("approvals", key, encode_fast((*tokens, text)))
+        act.put("approvals", key, encode_fast((*tokens, text)))
         return verified
 
     def answers(self, act: Act, standing: Standing | None) -> Answered:
         """Return every kept answer to an open request that is still authentic now."""
-        approvals: list[VerifiedApproval] = []
-        tokens: list[str] = []
+        found: list[tuple[VerifiedApproval, str]] = []
         for request in () if standing is None else standing.requests.values():
             held = act.get("approvals", f"{standing.mid}:{request.counter}") if standing else None
-            for token in () if held is None else read_held(held, tuple[str, ...], "approvals"):
-                try:
-                    data = token.encode("ascii")
-                    approvals.append(open_approval(data, verifier=self._verifier, now=act.now))
-                except (MalformedError, AuthenticityError):
-                    continue  # an approver revoked since then does not count
-                tokens.append(token)
-        return Answered(tuple(approvals), tuple(tokens))
+            tokens = () if held is None else read_held(held, tuple[str, ...], "approvals")
+            found += self._authentic(act, tokens)
+        return Answered(tuple(one for one, _ in found), tuple(token for _, token in found))
+
+    def _authentic(
+        self, act: Act, tokens: tuple[str, ...]
+    ) -> Iterator[tuple[VerifiedApproval, str]]:
+        """Yield the kept answers that hold now: an approver revoked since then does not count."""
+        for token in tokens:
+            with suppress(MalformedError, AuthenticityError):
+                data = token.encode("ascii")
+                yield open_approval(data, verifier=self._verifier, now=act.now), token
 
     def _attest(self, data: bytes) -> AttestedState:
-        now = self._ledger.now()
-        snapshot, _, _ = open_token(
-            data,
-            Snapshot,
-            tag=Tag.STATE,
-            roles=ESTIMATOR_ROLES,
-            verifier=self._verifier,
-            now=now,
-        )
+        now = self._ledger.latest() if self.outlasts_clock else self._ledger.now()
+        snapshot = self._open_snapshot(data, now)
+        self._require_own(data, snapshot, now)
+        if snapshot.epoch > now.utc_ms + SKEW_MS:
+            # before it counts: the largest epoch there is would be the last one ever taken in
+            raise AuthenticityError(
+                f"expected an epoch up to {now.utc_ms + SKEW_MS}, got {snapshot.epoch}",
+                reason=Reason.VALUE_OUT_OF_RANGE,
+                where="state.epoch",
+            )
         last = self._ledger.snapshot
         if (snapshot.epoch, snapshot.seq) <= last:
             raise AuthenticityError(
@@ -185,3 +339,54 @@ class Intake:
             )
         self._ledger.snapshot = (snapshot.epoch, snapshot.seq)
         return attest(snapshot, self._facts, arrived_mono_ms=now.mono_ms)
+
+    def _open_snapshot(self, data: bytes, now: Now) -> Snapshot:
+        opened, _, _ = open_token(
+            data,
+            Snapshot,
+            tag=Tag.STATE,
+            roles=ESTIMATOR_ROLES,
+            verifier=self._verifier,
+            now=now,
+        )
+        return opened
+
+    def _require_own(self, data: bytes, snapshot: Snapshot, now: Now) -> None:
+        """Refuse another robot's state, and another robot's estimator, before they count at all.
+
+        Raises:
+            AuthenticityError: it is of another robot, or by an estimator that is not this one's.
+        """
+        own = self._facts.robot.rid
+        chains = [endorsement.chain for endorsement in read_token(data).endorsements]
+        whose = {
+            self._verifier.attested_robot(tuple(unb64(der) for der in chain), now)
+            for chain in chains
+        }
+        if whose | {snapshot.robot} != {own}:
+            raise AuthenticityError(
+                f"expected the state of `{own}` by its own estimator",
+                reason=Reason.STATE_FOREIGN,
+                where="state.robot",
+            )
+
+
+def is_asked(act: Act, approval: Approval) -> bool:
+    """True while the mission has an open request of the answer's number."""
+    standing = act.standing(approval.mid)
+    open_now = () if standing is None else standing.requests.values()
+    return any(request.counter == approval.counter for request in open_now)
+
+
+def claimed_template(token: bytes) -> Digest:
+    """Return the digest of the template that an instance token names; nothing is verified.
+
+    Raises:
+        MalformedError: not an instance token.
+    """
+    payload = unb64(read_token(token).payload, where="token.payload")
+    return decode(payload, Instance, where="instance").template
+
+
+def _corrupt(message: str) -> StoreError:
+    return StoreError(message, where="mission", reason=Reason.STORE_CORRUPT)

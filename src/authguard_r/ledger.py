@@ -3,14 +3,15 @@
 
 Trusted time never runs backwards: it is the wall clock or the last committed time plus what the
 monotonic clock has counted since, whichever is later, and it is written with every commit. A wall
-clock that is behind what was committed is a fault, not an excuse.
-Spec page: docs/spec/store.md#time
+clock that is behind what was committed is a fault, not an excuse. An act that changes nothing
+writes nothing. Spec page: docs/spec/store.md#time
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 from msgspec import Struct
@@ -23,8 +24,11 @@ from authguard_r.core.ports import Clock, Store, Turn
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
+from authguard_r.refusals import Fold, Page, RefusalPolicy, Refusals
 
 T = TypeVar("T")
+#: Kind, key and value of something that the store holds.
+Held = tuple[str, str, bytes]
 #: How far the wall clock may be behind the last committed time, in milliseconds.
 SKEW_MS = 2_000
 
@@ -56,6 +60,9 @@ class Ledger:
         salts: returns that many fresh random bytes.
         genesis: what the log's first record says of the gate and its site.
         inputs: what replaying a decision needs beside the decision's own record.
+        refusals: what waits and what is counted; the default records each refusal at once.
+        marks: what every record says in its open part: that it is of a shadow run.
+        since_ms: time is not before this, whatever wall clock and store say.
     """
 
     def __init__(
@@ -67,19 +74,25 @@ class Ledger:
         salts: Callable[[int], bytes],
         genesis: dict[str, object],
         inputs: dict[str, object] | None = None,
+        refusals: RefusalPolicy = RefusalPolicy(),  # noqa: B008 - frozen
+        marks: dict[str, str] | None = None,
+        since_ms: int = 0,
     ) -> None:
         self.store = store
         self._clock = clock
         self._salts = salts
         self.robot = robot
+        self._open_marks = marks or {}
         self._mono_base = 0
         self._mono_start = clock.mono_ms()
-        self._high = Now(0, 0)
+        self._high = Now(since_ms, 0)
+        self._behind = False
         self.snapshot = (-1, -1)
         self._standings: dict[MissionId, tuple[int, Standing]] = {}
         self._decoded: dict[MissionId, tuple[bytes, Standing]] = {}
         self._turns = 0
         self._mirror = threading.Lock()
+        self._refusals = Refusals(refusals, restore=store.restore, mono_ms=self.mono_ms)
         store.run(lambda turn: self._open(turn, genesis, inputs or {}))
 
     def mono_ms(self) -> int:
@@ -94,30 +107,58 @@ class Ledger:
         """
         wall, mono = self._clock.wall_ms(), self.mono_ms()
         if wall < self._high.utc_ms - SKEW_MS:
+            self._behind = True
             raise ClockError(
                 f"the wall clock is {self._high.utc_ms - wall} ms behind the last committed time"
             )
+        if self._behind:  # it has caught up: the time that it was wrong for is not added to it
+            self._behind, self._high = False, Now(self._high.utc_ms, mono)
         return Now(max(wall, self._high.utc_ms + mono - self._high.mono_ms), mono)
 
-    def run(self, job: Callable[[Act], T]) -> T:
+    def run(self, job: Callable[[Act], T], *, essential: bool = False) -> T:
         """Run one act in the writer's turn; its effects and records are on disk on return.
+
+        An act that held and recorded nothing costs no fsync.
+
+        Args:
+            job: the act; may be run again from the start when the disk was full.
+            essential: an outcome, a stop, an alert or an order: may use the store's reserve.
 
         Raises:
             ClockError: nothing was done.
             StoreError: nothing was committed.
         """
 
-        def turn_job(turn: Turn) -> tuple[T, Act]:
+        def turn_job(page: Page) -> tuple[T, Act]:
             self._turns += 1  # in the order of the turns, which is the order of the log
-            act = Act(turn, self.now(), self._salts, order=self._turns, decoded=self._decoded)
+            act = Act(page, self.now(), self._refusals, order=self._turns, decoded=self._decoded)
             result = job(act)
-            turn.put("clock", "high", self._marks(act.now))
+            if act.changed:
+                page.turn.put("clock", "high", self._marks(act.now))
             return result, act
 
-        result, act = self.store.run(turn_job)
+        result, act = self._in_turn(turn_job, essential=essential)
         with self._mirror:
             self._remember(act)
         return result
+
+    def _in_turn(self, job: Callable[[Page], T], *, essential: bool = False) -> T:
+        """Run in the writer's turn; refusals that waited are written in front of its records."""
+        tries: list[Page] = []
+
+        def turn_job(turn: Turn) -> T:
+            for page in tries:  # the disk was full: what is left is not for refusals
+                page.undo()
+                self._refusals.out_of_room()
+            tries.append(Page(turn, self._refusals, self._salts, self._open_marks))
+            return job(tries[-1])
+
+        try:
+            return self.store.run(turn_job, essential=essential)
+        except BaseException:
+            for page in tries:
+                page.undo()
+            raise
 
     def _marks(self, now: Now) -> bytes:
         return encode_fast(High(utc_ms=now.utc_ms, mono_ms=now.mono_ms, snapshot=self.snapshot))
@@ -127,22 +168,99 @@ class Ledger:
         known = self._standings.get(mid)
         return None if known is None else known[1]
 
-    def note(self, entry: Callable[[int], Entry]) -> int:
-        """Record something that needs no trustworthy clock: a refusal, a stop, an alert.
+    def peek(self, job: Callable[[Turn], T]) -> T:
+        """Read in a turn that needs no clock and changes nothing.
+
+        Raises:
+            StoreError: the store cannot be read.
+        """
+        return self.store.read(job)
+
+    def latest(self) -> Now:
+        """Return trusted time; while the clock is behind, what it would be had it gone on.
+
+        For what may not wait for a clock; nothing that a mission grants is decided at it.
+        """
+        try:
+            return self.now()
+        except ClockError:
+            mono = self.mono_ms()
+            return Now(self._high.utc_ms + mono - self._high.mono_ms, mono)
+
+    def note(
+        self, entry: Callable[[int], Entry], *, essential: bool = False, held: Held | None = None
+    ) -> int:
+        """Record something that needs no trustworthy clock: a stop, an alert, an emergency.
 
         Args:
             entry: makes the entry from the last trusted time.
+            essential: see `run`.
+            held: kind, key and value of what is held with the record, in the same commit.
 
         Raises:
             StoreError: it was not recorded.
         """
-        time_ms = max(self._high.utc_ms, self._clock.wall_ms())
+        time_ms = self.last_ms()
 
-        def turn_job(turn: Turn) -> int:
-            made = entry(time_ms)
-            return append(turn, made, salts=self._salts(16 * len(made.sealed)))
+        def turn_job(page: Page) -> int:
+            if held is not None:
+                page.turn.put(*held)
+            return page.record(entry(time_ms))
 
-        return self.store.run(turn_job)
+        return self._in_turn(turn_job, essential=essential)
+
+    def refuse(self, entry: Callable[[int], Entry], *, fold: Fold) -> int | None:
+        """Record a refusal that no act decided, now or later as the policy says.
+
+        Args:
+            entry: makes the entry from the last trusted time.
+            fold: client, reason and place; repeats of all three are counted.
+
+        Returns:
+            Its number in the log; None when it waits or was only counted.
+
+        Raises:
+            StoreError: it was to be recorded now, and was not.
+        """
+        if self._refusals.at_once(fold):
+            seq = self.note(entry)
+            self._refusals.recorded(fold)
+            return seq
+        self._refusals.take(entry(self.last_ms()), fold)
+        return None
+
+    def flush(self) -> None:
+        """Write the refusals that wait and the counts that are over.
+
+        To be called at least every `delay_ms` of the policy, by the one who chose it.
+
+        Raises:
+            StoreError: they were not written, and go on waiting.
+        """
+        self._flush(everything=False)
+
+    def close(self) -> None:
+        """Write what waits, if it can be written, and let go of the store."""
+        with suppress(StoreError):
+            self._flush(everything=True)
+        self.store.close()
+
+    def _flush(self, *, everything: bool) -> None:
+        def turn_job(page: Page) -> None:
+            page.record_waiting()
+            self._raise_marks(page.turn)
+
+        if self._refusals.end_windows(self.last_ms(), everything=everything):
+            self._in_turn(turn_job)
+
+    def _raise_marks(self, turn: Turn) -> None:
+        """Commit the time and the snapshot of acts that only refused: neither comes again."""
+        if self._high.utc_ms > last_commit_ms(turn):
+            turn.put("clock", "high", self._marks(self._high))
+
+    def last_ms(self) -> int:
+        """Return a time that is not before anything committed; for what needs no right clock."""
+        return max(self._high.utc_ms, self._clock.wall_ms())
 
     def _remember(self, act: Act) -> None:
         """Mirror what was committed; threads may come back in another order than they committed."""
@@ -153,23 +271,24 @@ class Ledger:
             known = self._standings.get(mid)
             if known is None or known[0] < act.order:
                 self._standings[mid] = (act.order, standing)
-
-    def close(self) -> None:
-        """Let go of the store."""
-        self.store.close()
+        for entry, fold, seq in act.refused:
+            if seq is None:
+                self._refusals.take(entry, fold)
+            else:
+                self._refusals.recorded(fold)
 
     def _open(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         held = turn.get("clock", "high")
         if held is not None:
             high = read_held(held, High, "clock")
-            self._high = Now(high.utc_ms, high.mono_ms)
+            self._high = Now(max(high.utc_ms, self._high.utc_ms), high.mono_ms)
             self._mono_base, self.snapshot = high.mono_ms, high.snapshot
         if turn.head()[0] == 0:
             entry = Entry(
                 kind="genesis",
-                time_ms=self._clock.wall_ms(),
+                time_ms=self.last_ms(),
                 decision="genesis",
-                open={"format": 1, "robot": self.robot, **genesis},
+                open={"format": 1, "robot": self.robot, **genesis, **self._open_marks},
                 sealed=inputs,
             )
             append(turn, entry, salts=self._salts(16 * len(inputs)))
@@ -182,32 +301,41 @@ class Ledger:
             )
 
 
+def last_commit_ms(turn: Turn) -> int:
+    """Return the trusted time of the last commit, 0 for a store that was never used."""
+    held = turn.get("clock", "high")
+    return 0 if held is None else read_held(held, High, "clock").utc_ms
+
+
 class Act:
     """One act inside the writer's turn: what it reads, holds and records.
 
     Args:
-        turn: the writer's turn.
+        page: the writer's turn, and the log in it.
         now: read once for the whole act.
-        salts: returns that many fresh random bytes.
+        refusals: what waits and what is counted.
         order: number of the turn; a later turn has a greater one.
         decoded: the last bytes of each standing with what they say; the bytes are always read.
     """
 
     def __init__(
         self,
-        turn: Turn,
+        page: Page,
         now: Now,
-        salts: Callable[[int], bytes],
+        refusals: Refusals,
         *,
         order: int,
         decoded: dict[MissionId, tuple[bytes, Standing]],
     ) -> None:
         self.order = order
         self._decoded = decoded
-        self._turn = turn
-        self._salts = salts
+        self._page = page
+        self._turn = page.turn
+        self._refusals = refusals
         self.now = now
         self.held: dict[MissionId, Standing] = {}
+        self.changed = False
+        self.refused: list[tuple[Entry, Fold, int | None]] = []
 
     def standing(self, mid: MissionId) -> Standing | None:
         """Return the registry's entry for a mission; read once in a turn."""
@@ -225,7 +353,7 @@ class Act:
     def hold(self, standing: Standing) -> None:
         """Hold a mission's new standing."""
         held = encode_fast(standing)
-        self._turn.put("standing", standing.mid, held)
+        self.put("standing", standing.mid, held)
         self._decoded[standing.mid] = (held, standing)
         self.held[standing.mid] = standing
 
@@ -236,7 +364,7 @@ class Act:
 
     def make_active(self, mid: MissionId | None) -> None:
         """Make a mission the active one, or none."""
-        self._turn.put("active", "mission", (mid or "").encode("ascii"))
+        self.put("active", "mission", (mid or "").encode("ascii"))
 
     def token(self, digest: Digest) -> bytes | None:
         """Return the token of a mission version by its digest."""
@@ -244,7 +372,7 @@ class Act:
 
     def keep_token(self, digest: Digest, token: bytes) -> None:
         """Keep a token, so that replay and restart have the very bytes."""
-        self._turn.put("token", digest, token)
+        self.put("token", digest, token)
 
     def get(self, kind: str, key: str) -> bytes | None:
         """Return any other held value."""
@@ -252,15 +380,37 @@ class Act:
 
     def put(self, kind: str, key: str, value: bytes) -> None:
         """Hold any other value."""
+        self.changed = True
         self._turn.put(kind, key, value)
 
     def head(self) -> tuple[int, bytes]:
         """Return the log's size and last link."""
         return self._turn.head()
 
+    def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
+        """Return at most `count` rows of the log from `first` on: seq, record, sealed, link."""
+        return self._turn.rows(first, count)
+
     def record(self, entry: Entry) -> int:
-        """Append one record to the log."""
-        return append(self._turn, entry, salts=self._salts(16 * len(entry.sealed)))
+        """Append one record to the log, behind the refusals that waited."""
+        self.changed = True
+        return self._page.record(entry)
+
+    def refuse(self, entry: Entry, *, fold: Fold) -> int | None:
+        """Record a refusal, now or later as the policy says.
+
+        One that changed something in this act, before this call, is recorded with the change.
+
+        Args:
+            entry: its record.
+            fold: client, reason and place; repeats of all three are counted.
+
+        Returns:
+            Its number in the log; None when it waits or was only counted.
+        """
+        seq = self.record(entry) if self.changed or self._refusals.at_once(fold) else None
+        self.refused.append((entry, fold, seq))
+        return seq
 
 
 def read_held(data: bytes, kind: type[T], what: str) -> T:

@@ -7,7 +7,7 @@ to, what counts and codes lies open. Spec page: docs/spec/audit-record.md
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -16,10 +16,13 @@ from msgspec import Raw, Struct
 
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
+from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.finding import Finding, Findings, deviation
 from authguard_r.core.identifiers import Digest, Identifier, MissionId
+from authguard_r.core.lifecycle import Status
+from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.safety import SafetyDecision
@@ -30,6 +33,8 @@ from authguard_r.normalize.context import Influence
 
 #: What the log says of the second gate when the first refused.
 NOT_EVALUATED = "not evaluated"
+#: What the log calls a plan or a step that was refused before a decision.
+PROPOSAL = "proposal"
 
 
 class Judged(Struct, frozen=True, kw_only=True):
@@ -47,6 +52,7 @@ class Judged(Struct, frozen=True, kw_only=True):
         ticket: names this release; two equal actions have two tickets.
         request: a new approval request, when one is to be opened.
         approvals: tokens of the answers that were looked at.
+        answers: the same, verified.
     """
 
     action: Action
@@ -60,6 +66,7 @@ class Judged(Struct, frozen=True, kw_only=True):
     ticket: Digest
     request: ApprovalRequest | None = None
     approvals: tuple[str, ...] = ()
+    answers: tuple[VerifiedApproval, ...] = ()
 
     @property
     def released(self) -> bool:
@@ -100,9 +107,22 @@ class Report(Struct, frozen=True, kw_only=True):
 
 
 def open_question(
-    decision: Decision, verified: VerifiedMission, standing: Standing | None, now: Now
+    decision: Decision,
+    verified: VerifiedMission,
+    standing: Standing | None,
+    now: Now,
+    *,
+    risk: tuple[RiskPolicy, ...] = (),
 ) -> ApprovalRequest | None:
-    """Return a new approval request, unless this very question is open already."""
+    """Return a new approval request, unless this very question is open already.
+
+    Args:
+        decision: what asks.
+        verified: the mission.
+        standing: the registry's entry.
+        now: the instant of the decision.
+        risk: the organization's policies: the request lives as long as the shortest allows.
+    """
     need, match = decision.need, decision.match
     if decision.verdict is not Verdict.REQUEST_APPROVAL or standing is None:
         return None
@@ -120,12 +140,21 @@ def open_question(
         scope=need.scope,
         situation=need.situation,
         required=need.required,
-        expires_ms=now.utc_ms + verified.mission.risk_policy.valid_ms,
+        expires_ms=now.utc_ms
+        + min(policy.valid_ms for policy in (verified.mission.risk_policy, *risk)),
     )
 
 
-def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:
-    """Return the record of one decision (e_i of `eq:log` and every input of a replay)."""
+def decision_entry(
+    judged: Judged, influences: tuple[Influence, ...], counted: list[dict[str, Any]] | None = None
+) -> Entry:
+    """Return the record of one decision (e_i of `eq:log` and every input of a replay).
+
+    Args:
+        judged: the decision.
+        influences: inputs that mentioned what the action carries.
+        counted: who stands behind it (`questions.counted`), when people were asked.
+    """
     decision, mission = judged.decision, judged.verified.mission
     share = deviation(decision.findings, {}) if decision.findings else Fraction(0)
     state = judged.state
@@ -148,6 +177,8 @@ def decision_entry(judged: Judged, influences: tuple[Influence, ...]) -> Entry:
             "deviation": [share.numerator, share.denominator],
             "weights": "equal",
             "ticket": judged.ticket if judged.released else NONE,
+            **({} if judged.request is None else {"asks": judged.request.counter}),
+            **({"approvers": counted} if counted else {}),
         },
         sealed={
             "action": judged.action,
@@ -166,10 +197,17 @@ def _arrived(state: AttestedState) -> dict[str, object]:
 
 
 def outcome_entry(
-    judged: Judged, outcome: Outcome, findings: Findings, used: Spend, now: Now
+    judged: Judged,
+    outcome: Outcome,
+    findings: Findings,
+    *,
+    used: Spend,
+    now: Now,
+    stood_ms: int | None = None,
 ) -> Entry:
-    """Return the record of how a released action ended."""
+    """Return the record of how a released action ended; `stood_ms` after it was told to stop."""
     mission = judged.verified.mission
+    stood = {} if stood_ms is None else {"stood_ms": stood_ms}
     return Entry(
         kind="outcome",
         time_ms=now.utc_ms,
@@ -181,33 +219,76 @@ def outcome_entry(
             "ticket": judged.ticket,
             "reasons": list(dict.fromkeys(finding.reason for finding in findings)),
             "used": msgspec.to_builtins(used),
+            **stood,
         },
         sealed={"findings": findings},
     )
 
 
-def refusal_entry(error: AuthGuardError, time_ms: int) -> Entry:
-    """Return the record of a refusal that has no decision."""
+def refusal_entry(
+    error: AuthGuardError,
+    time_ms: int,
+    *,
+    client: Identifier = NONE,
+) -> Entry:
+    """Return the record of a refusal that has no decision.
+
+    Args:
+        error: what refused it.
+        time_ms: trusted time.
+        client: who asked, named by the channel.
+    """
     return Entry(
         kind="refusal",
         time_ms=time_ms,
         decision=Verdict.REJECT,
-        open={"reasons": [error.reason], "safety": NOT_EVALUATED},
+        open={"reasons": [error.reason], "safety": NOT_EVALUATED, "client": client},
         sealed={"where": error.where, "message": error.message},
     )
 
 
-def stop_entry(by: Identifier, *, is_planner: bool) -> Callable[[int], Entry]:
-    """Return what makes the record of a stop, once there is a time for it."""
-    return lambda at: Entry(
-        kind="stop", time_ms=at, decision="stop", open={"by": by, "planner": is_planner}
+def refused_proposal(
+    error: AuthGuardError, time_ms: int, *, client: Identifier, inputs: Mapping[str, Any]
+) -> Entry:
+    """Return the record of a planner's plan or step that was refused before a decision.
+
+    Args:
+        error: what refused it.
+        time_ms: trusted time.
+        client: who proposed, named by the channel.
+        inputs: further values to seal.
+    """
+    entry = refusal_entry(error, time_ms, client=client)
+    return msgspec.structs.replace(
+        entry, open={**entry.open, "what": PROPOSAL}, sealed={**entry.sealed, **inputs}
     )
 
 
-def suspension_entry(mid: MissionId, now: Now) -> Entry:
-    """Return the record of a mission that an operator's stop suspended."""
-    opened = {"verb": "suspend", "by": "stop", "status": "suspended"}
-    return Entry(kind="management", time_ms=now.utc_ms, decision="suspend", mid=mid, open=opened)
+def stop_entry(
+    by: Identifier, *, is_planner: bool, details: Mapping[str, Any], why: str
+) -> Callable[[int], Entry]:
+    """Return what makes the record of a stop, once there is a time for it.
+
+    Args:
+        by: who asked, named by the channel.
+        is_planner: counted against the planner's budget of stops.
+        details: what else lies open.
+        why: whoever stopped may have written anything: sealed.
+    """
+    return lambda at: Entry(
+        kind="stop",
+        time_ms=at,
+        decision="stop",
+        open={"by": by, "planner": is_planner, **details},
+        sealed={"why": why} if why else {},
+    )
+
+
+def suspension_entry(held: Standing, now: Now) -> Entry:
+    """Return the record of a mission that an operator's stop suspended, or ended."""
+    verb = "suspend" if held.status is Status.SUSPENDED else "complete"
+    opened = {"verb": verb, "by": "stop", "status": held.status}
+    return Entry(kind="management", time_ms=now.utc_ms, decision=verb, mid=held.mid, open=opened)
 
 
 def alert_entry(what: str, mid: MissionId, now: Now) -> Entry:

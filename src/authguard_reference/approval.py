@@ -50,13 +50,91 @@ def situation_of(
     return digest("authguard-r/situation/1", canonical({"guards": truths, "tier": tier}))
 
 
-def fits(answer: Json, expected: Json, mission: Json, now: Json) -> bool:
+def inside(scope: Json, robot: str, places: list[str]) -> bool:
+    """Decide whether a certificate reaches a robot and places; null reaches every one.
+
+    Args:
+        scope: The robots and the regions that it names.
+        robot: The robot.
+        places: The regions that the action names.
+
+    Returns:
+        True when it reaches all of them.
+    """
+    if scope["robots"] is not None and robot not in scope["robots"]:
+        return False
+    if scope["regions"] is None:
+        return True
+    return all(place in scope["regions"] for place in places)
+
+
+def places_of(action: Json) -> list[str]:
+    """Collect the regions that an action names: source, destination and way.
+
+    Args:
+        action: The normalized action.
+
+    Returns:
+        The regions.
+    """
+    ends = [action[field] for field in ("source", "destination") if field in action]
+    return [*ends, *action.get("route", [])]
+
+
+def policies_of(mission: Json, facts: Json) -> list[Json]:
+    """Collect the policies that each have to be satisfied.
+
+    Args:
+        mission: The mission.
+        facts: The facts, with the organization's policies.
+
+    Returns:
+        The mission's policy, then the organization's.
+    """
+    return [mission["risk_policy"], *facts.get("risk", [])]
+
+
+def people_behind(fitting: list[Json], issuer: str) -> int:
+    """Count the people other than the issuer who stand behind the fitting approvals.
+
+    Args:
+        fitting: The answers that fit.
+        issuer: The mission's issuer.
+
+    Returns:
+        The number of single signers, or what one group counts, whichever is more.
+    """
+    most = 0
+    single = set()
+    for answer in fitting:
+        approver = answer["approver"]
+        members = approver.get("members", [])
+        if members == []:
+            single.add(approver["id"])
+        elif issuer in members:
+            most = max(most, approver.get("threshold", 1) - 1)
+        else:
+            most = max(most, approver.get("threshold", 1))
+    return max(most, len(single))
+
+
+def fits(
+    answer: Json,
+    expected: Json,
+    mission: Json,
+    *,
+    policies: list[Json],
+    action: Json,
+    now: Json,
+) -> bool:
     """Decide whether an authentic answer fits the open request.
 
     Args:
         answer: The approval and its approver.
         expected: What the approval must say, by field.
-        mission: The mission, for roles and issuer.
+        mission: The mission, for its issuer.
+        policies: The policies, for the roles that each of them wants.
+        action: The action, for the places that the approver must reach.
         now: The two clocks.
 
     Returns:
@@ -67,8 +145,9 @@ def fits(answer: Json, expected: Json, mission: Json, now: Json) -> bool:
         all(approval[field] == value for field, value in expected.items())
         and now["utc_ms"] <= approval["expires_ms"]
         and now["utc_ms"] <= approver["usable_until_ms"]
-        and approver["role"] in mission["risk_policy"]["roles"]
+        and all(approver["role"] in policy["roles"] for policy in policies)
         and approver["id"] != mission["issuer"]
+        and inside(approver["scope"], expected["rid"], places_of(action))
     )
 
 
@@ -78,6 +157,8 @@ def approval_finding(
     *,
     required: int,
     mission: Json,
+    policies: list[Json],
+    action: Json,
     approvals: list[Json],
     now: Json,
     prompts: int,
@@ -89,6 +170,8 @@ def approval_finding(
         request: The grant's open request, or None.
         required: Req(a, s).
         mission: The mission.
+        policies: The policies that each have to be satisfied.
+        action: The normalized action.
         approvals: The authentic answers.
         now: The two clocks.
         prompts: How often people were asked so far.
@@ -108,11 +191,11 @@ def approval_finding(
     expected = {**expected, "counter": request.get("counter", 0)}
     if now["utc_ms"] > request["expires_ms"]:
         return "APPROVAL_TIMEOUT"
-    fitting = [answer for answer in approvals if fits(answer, expected, mission, now)]
+    seen: Json = {"policies": policies, "action": action, "now": now}
+    fitting = [answer for answer in approvals if fits(answer, expected, mission, **seen)]
     if any(answer["approval"]["verdict"] == "deny" for answer in fitting):
         return "APPROVAL_DENIED"
-    signers = {answer["approver"]["id"] for answer in fitting}
-    if len(signers) >= required - 1:
+    if people_behind(fitting, mission["issuer"]) >= required - 1:
         return ""
     return "APPROVAL_REQUIRED"
 
@@ -168,9 +251,13 @@ def step_7(
     Returns:
         At most one violation, Req(a, s) and rho(a, s).
     """
-    risk = rho(mission, action, state, facts, now)
-    tier = tier_of(mission["risk_policy"], risk)
-    required = required_of(mission["risk_policy"], tier)
+    policies = policies_of(mission, facts)
+    wanted = []
+    for policy in policies:
+        score = rho(policy, action, state, facts, now)
+        level = tier_of(policy, score)
+        wanted.append((required_of(policy, level), level, score))
+    required, tier, risk = max(wanted)  # the strictest
     expected = binding_of(mission, digest, grant, action, robot=facts["robot"])
     expected["situation"] = situation_of(mission, grant, tier, state=state, facts=facts, now=now)
     request = None if standing is None else standing.get("requests", {}).get(grant["id"])
@@ -180,6 +267,8 @@ def step_7(
         request,
         required=required,
         mission=mission,
+        policies=policies,
+        action=action,
         approvals=approvals,
         now=now,
         prompts=prompts,

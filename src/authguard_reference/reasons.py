@@ -17,7 +17,9 @@ ORDER: list[str] = [
     "REVOCATION_STALE",
     "ROLE_DENIED",
     "SIGNATURE_INVALID",
+    "SIGNATURE_MISSING",
     "ISSUER_MISMATCH",
+    "SIGNER_OUT_OF_SCOPE",
     "SCHEMA_INVALID",
     "NOT_YET_VALID",
     "EXPIRED",
@@ -84,6 +86,9 @@ ORDER: list[str] = [
     "STORE_NEWER",
     "CLOCK_BEHIND",
     "CONTROLLER_FAILED",
+    "STOPPED",
+    "BUSY",
+    "KEY_REUSED",
     "INTERNAL_FAULT",
 ]
 

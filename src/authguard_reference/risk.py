@@ -79,11 +79,11 @@ def privacy_risk(policy: Json, action: Json, facts: Json) -> int:
     return factor * impact
 
 
-def rho(mission: Json, action: Json, state: Json | None, facts: Json, now: Json) -> int:
+def rho(policy: Json, action: Json, state: Json | None, facts: Json, now: Json) -> int:
     """Compute the risk score rho of action and state.
 
     Args:
-        mission: The mission.
+        policy: The risk policy, of the mission or of the organization.
         action: The normalized action.
         state: The snapshot with its arrival, or None.
         facts: The facts of the site and the robot.
@@ -92,7 +92,6 @@ def rho(mission: Json, action: Json, state: Json | None, facts: Json, now: Json)
     Returns:
         The sum of all parts.
     """
-    policy = mission["risk_policy"]
     total: int = policy.get("types", {}).get(action["type"], policy.get("otherwise", 0))
     total += region_risk(policy, action, facts)
     total += object_risk(policy, action, facts)
@@ -111,7 +110,7 @@ def tier_of(policy: Json, risk: int) -> int:
     """Find the tier of `eq:threshold`.
 
     Args:
-        policy: The mission's risk policy.
+        policy: The risk policy.
         risk: The value of rho.
 
     Returns:

@@ -6,14 +6,20 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import typer
 from typer.exceptions import TyperException
 
+from authguard_r.assembly import folder_signer
+from authguard_r.client import GateClient
 from authguard_r.core.errors import AuthGuardError
+from authguard_r.wire.messages import ClientRole
 from missionpair.ablation import CHECKS, without
+from missionpair.approvers import Policy, Script, read_delay
 from missionpair.bench import Bench, make_bench
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN
@@ -60,6 +66,38 @@ def validate(
     else:
         sys.stdout.write("\n".join(_lines(payload)) + "\n")
     return 0 if payload["as_the_paper"] else 1
+
+
+@app.command("approvers")
+def approvers(  # noqa: PLR0917 - typer reads options from defaults
+    socket: Annotated[Path, typer.Option("--gate", help="The gate's socket.")],
+    trust: Annotated[Path, typer.Option("--trust", help="The demo folder with their keys.")],
+    people: Annotated[list[str], typer.Option("--as", help="Who answers; may be repeated.")],
+    delay: Annotated[
+        str, typer.Option("--delay", help="fixed:2s, exponential:3s or lognormal:5s,0.8.")
+    ] = "fixed:0s",
+    seed: Annotated[int, typer.Option("--seed", help="Of the delays.")] = 0,
+    most_risk: Annotated[int, typer.Option("--most-risk", help="Deny what is riskier.")] = 1 << 30,
+    count: Annotated[
+        int | None, typer.Option("--count", help="Leave after so many answers.", min=1)
+    ] = None,
+) -> int:
+    """Answer a gate's approval requests by a script; one JSON object for each answer.
+
+    Waiting and machine time are told apart: `waited_ms` was drawn, `machine_us` was work.
+    """
+    try:
+        drawn = read_delay(delay)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--delay") from error
+    signers = {name: folder_signer(trust, name) for name in people}
+    with GateClient.connect(socket, role=ClientRole.OPERATOR, client="script") as client:
+        policy = Policy(most_risk=most_risk)
+        script = Script(client, signers, delay=drawn, seed=seed, policy=policy)
+        for answer in islice(script.answers(), count):
+            sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
+            sys.stdout.flush()
+    return 0
 
 
 def run_suite(bench: Bench) -> list[Measured]:

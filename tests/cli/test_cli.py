@@ -140,7 +140,59 @@ def test_keys_are_made_once_and_shown(shell: Shell) -> None:
     assert code == 0
     assert shown["demo"] is True
     assert shell("keys", "init", "other", "--robot", "nobody")[0] == 2
-    assert shell("keys", "init", "other", "--no-demo")[0] == 5
+    assert shell("keys", "init", "other", "--no-demo")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "shown"),
+    [
+        ("ed25519", "ed25519"),
+        ("ml-dsa-44", "ml-dsa-44"),
+        ("ml-dsa-65", "ml-dsa-65"),
+        ("ml-dsa-87", "ml-dsa-87"),
+        ("hybrid", "ed25519+ml-dsa-65"),
+    ],
+)
+def test_keys_of_every_algorithm_are_made_shown_and_found_in_order(
+    shell: Shell, algorithm: str, shown: str
+) -> None:
+    code, made = shell.json("keys", "init", "fresh", "--algorithm", algorithm)
+    assert (code, made["algorithm"]) == (0, algorithm)
+    code, told = shell.json("keys", "show", "fresh")
+    assert code == 0
+    people = {item["principal"]: item for item in told["principals"]}
+    assert {item["algorithm"] for item in people.values()} == {shown}
+    assert people["operator-1"]["scope"] == {"robots": None, "regions": None}
+    assert people["gate-courier-1"]["scope"] == {"robots": ["courier-1"], "regions": []}
+    assert people["witness-1"]["scope"] == {"robots": [], "regions": []}
+    assert all(len(item["serials"]) == shown.count("+") + 1 for item in people.values())
+    text = shell("keys", "show", "fresh")[1]
+    assert f"{shown}, every robot, every region" in text
+    assert f"{shown}, courier-1, no region" in text
+    code, advice = shell.json("doctor", "--trust", "fresh")
+    assert (code, [item["level"] for item in advice["advice"]].count("unsafe")) == (0, 0)
+
+
+def test_an_algorithm_that_is_none_makes_no_folder(shell: Shell) -> None:
+    for word in ("rsa", "ED25519", "", "ml-dsa-65,ed25519"):
+        assert shell("keys", "init", "fresh", "--algorithm", word)[0] == 2
+        assert not Path("fresh").exists()
+
+
+def test_half_a_hybrid_certificate_is_found_by_the_doctor(shell: Shell) -> None:
+    assert shell("keys", "init", "fresh", "--algorithm", "hybrid")[0] == 0
+    path = Path("fresh/keys/gate-courier-1.cert.pem")
+    end = b"-----END CERTIFICATE-----\n"
+    halves = path.read_bytes().split(end)
+    path.write_bytes(end.join(halves[:2]) + end)
+    code, told = shell.json("doctor", "--trust", "fresh")
+    messages = {item["message"] for item in told["advice"] if item["level"] == "unsafe"}
+    assert (code, messages) == (5, {"expected a chain to each of 2 roots, got 1"})
+    path.write_bytes(end.join(halves[:3]) + end)
+    code, told = shell.json("doctor", "--trust", "fresh")
+    messages = {item["message"] for item in told["advice"] if item["level"] == "unsafe"}
+    assert code == 5
+    assert any("each certificate with its authority's" in message for message in messages)
 
 
 def test_a_site_is_checked_and_shown(shell: Shell) -> None:

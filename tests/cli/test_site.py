@@ -112,7 +112,8 @@ def certify_for_work(folder: Path) -> None:
             key=issuer_key,
             now=now,
             days=365,
-            robot=leaf.robot,
+            robots=leaf.scope.robots and tuple(leaf.scope.robots),
+            regions=leaf.scope.regions and tuple(leaf.scope.regions),
             profile=leaf.profile,
         )
         path.write_bytes(b"".join(c.public_bytes(Encoding.PEM) for c in (certificate, issuer)))

@@ -14,7 +14,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.ed25519 import public_key, require_signature
+from authguard_r.keys.algorithms import require_signature
+from authguard_r.keys.ed25519 import public_key
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EXTERNAL = ROOT.parent / "shared" / "external"

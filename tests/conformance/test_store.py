@@ -37,19 +37,25 @@ THREADS = 8
 JOBS = 50
 
 
+Cells = tuple[tuple[int, bytes, bytes, bytes], ...]
+
+
 class Opened:
     """A store under test, and its log from outside once it is closed."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
+        self.rows: tuple[Row, ...] = ()
         self.store = MemoryStore() if path is None else open_store(path)
 
     def close(self) -> tuple[Row, ...]:
         self.store.close()
         if isinstance(self.store, MemoryStore):
-            return self.store.rows()
-        assert self._path is not None
-        return tuple(read_rows(self._path))
+            self.rows = self.store.rows()
+        else:
+            assert self._path is not None
+            self.rows = tuple(read_rows(self._path))
+        return self.rows
 
 
 @pytest.fixture(params=["memory", "sqlite"])
@@ -295,6 +301,19 @@ def test_jobs_that_raise_in_one_thread_disturb_no_other(opened: Opened) -> None:
     assert verify_rows(rows, terminal=None).whole
 
 
+def test_a_new_store_is_read_and_written_by_its_owner_alone(tmp_path: Path) -> None:
+    path = tmp_path / "robot.db"
+    store = open_store(path)
+    store.run(lambda turn: turn.put("a", "b", b"c"))
+    files = sorted(tmp_path.iterdir())
+    assert [file.name for file in files] == ["robot.db", "robot.db-wal"]
+    assert [oct(file.stat().st_mode & 0o777) for file in files] == ["0o600", "0o600"]
+    store.close()
+    path.chmod(0o640)  # who made it wider meant it
+    open_store(path).close()
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
 def test_a_closed_store_refuses_every_job_without_running_it(opened: Opened) -> None:
     opened.store.run(hold("a", b"1"))
     opened.store.close()
@@ -303,7 +322,98 @@ def test_a_closed_store_refuses_every_job_without_running_it(opened: Opened) -> 
         with pytest.raises(StoreError) as refused:
             opened.store.run(ran.append)
         assert refused.value.reason is Reason.STORE_UNAVAILABLE
+        with pytest.raises(StoreError) as refused:
+            opened.store.read(ran.append)
+        assert refused.value.reason is Reason.STORE_UNAVAILABLE
     assert ran == []
+
+
+def test_a_job_that_only_reads_sees_what_was_committed_and_leaves_nothing(opened: Opened) -> None:
+    opened.store.run(lambda turn: (turn.put("kind", "key", b"kept"), record(turn)))
+
+    def writes(turn: Turn) -> bytes | None:
+        turn.put("kind", "key", b"lost")
+        record(turn)
+        return turn.get("kind", "key")
+
+    assert opened.store.read(writes) == b"lost"
+    assert opened.store.read(lambda turn: turn.get("kind", "key")) == b"kept"
+    assert opened.store.read(lambda turn: (turn.head()[0], len(turn.rows(0, 9)))) == (1, 1)
+
+    def fails(turn: Turn) -> None:
+        writes(turn)
+        raise RefusedError("no", reason=Reason.ROLE_DENIED)
+
+    with pytest.raises(RefusedError):
+        opened.store.read(fails)
+    assert opened.store.run(lambda turn: (turn.get("kind", "key"), turn.head()[0])) == (b"kept", 1)
+
+
+def test_a_store_that_cannot_be_read_says_so(durable: SqliteStore) -> None:
+    def broken(turn: Turn) -> None:
+        raise apsw.IOError("no such sector")
+
+    with pytest.raises(StoreError, match="no such sector"):
+        durable.read(broken)
+
+
+def test_rows_are_read_in_the_turn_with_those_that_it_appends(opened: Opened) -> None:
+    opened.store.run(lambda turn: [record(turn, n) for n in range(5)])
+
+    def job(turn: Turn) -> Cells:
+        record(turn, 5)
+        return turn.rows(3, 10)
+
+    rows = opened.store.run(job)
+    assert [row[0] for row in rows] == [3, 4, 5]
+    assert tuple(Row(*row) for row in opened.store.run(lambda turn: turn.rows(0, 100))) == (
+        opened.close()
+    )
+    assert opened.rows[3:] == tuple(Row(*row) for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("first", "count", "expected"),
+    [
+        (0, 0, []),
+        (0, 1, [0]),
+        (1, 2, [1, 2]),
+        (2, 100, [2]),
+        (3, 1, []),
+        (0, 2**80, [0, 1, 2]),
+        (2**80, 2**80, []),
+        (-1, 2, [0]),
+        (-5, 2, []),
+        (1, -1, []),
+    ],
+)
+def test_rows_that_are_not_there_are_not_invented(
+    opened: Opened, first: int, count: int, expected: list[int]
+) -> None:
+    opened.store.run(lambda turn: [record(turn, n) for n in range(3)])
+    assert [row[0] for row in opened.store.run(lambda turn: turn.rows(first, count))] == expected
+
+
+def test_rows_of_a_job_that_raised_are_not_read(opened: Opened) -> None:
+    opened.store.run(record)
+
+    def fails(turn: Turn) -> None:
+        record(turn)
+        assert len(turn.rows(0, 10)) == 2
+        raise LookupError
+
+    with pytest.raises(LookupError):
+        opened.store.run(fails)
+    assert len(opened.store.run(lambda turn: turn.rows(0, 10))) == 1
+
+
+def test_an_essential_job_is_a_job_like_any_other_while_there_is_room(opened: Opened) -> None:
+    assert opened.store.restore()
+    assert opened.store.run(record, essential=True) == 0
+    with pytest.raises(LookupError):
+        opened.store.run(lambda turn: [record(turn), {}["nothing"]], essential=True)
+    assert opened.store.run(record) == 1
+    assert opened.store.restore()
 
 
 @st.composite
@@ -668,3 +778,91 @@ def test_an_interrupt_just_after_the_commit_leaves_a_store_that_goes_on(
     assert durable.run(record) == 2
     durable.close()
     assert verify_rows(read_rows(path), terminal=None).size == 3
+
+
+def test_a_job_that_only_reads_costs_no_sync(watched: tuple[SqliteStore, Watched]) -> None:
+    store, vfs = watched
+    store.run(record)
+    before = vfs.synced
+    for _ in range(3):
+        store.run(lambda turn: (turn.get("held", "a"), turn.head(), turn.rows(0, 9)))
+    assert vfs.synced == before
+
+
+@pytest.mark.parametrize("cell", ["7", "CAST(x'ff91' AS TEXT)"])
+def test_a_damaged_row_that_is_read_is_said_to_be_damaged(path: Path, cell: str) -> None:
+    store = open_store(path)
+    store.run(record)
+    store.close()
+    broken = apsw.Connection(str(path))
+    broken.execute(
+        "DROP TABLE audit; CREATE TABLE audit (seq INTEGER PRIMARY KEY, record, sealed, link)"
+    )
+    broken.execute(f"INSERT INTO audit VALUES (0, {cell}, x'00', x'00')")
+    broken.close()
+    store = open_store(path)
+    with pytest.raises(StoreError) as refused:
+        store.run(lambda turn: turn.rows(0, 1))
+    assert refused.value.reason is Reason.STORE_CORRUPT
+    assert held(store, "anything") is None  # the rest goes on
+    store.close()
+
+
+def test_when_the_reserve_makes_room_a_whole_batch_is_run_again(
+    path: Path, vfs: tuple[str, Watched]
+) -> None:
+    """Essential jobs of it are on disk, others are refused, readers and mistakes stay their own."""
+    name, disk = vfs
+    store = open_store(path, vfs=name, reserve_bytes=1 << 16)
+    store.run(record)
+    ballast = path.with_name("store.db.reserve")
+
+    def on_sync() -> None:
+        if ballast.exists():
+            raise apsw.FullError("no space left")
+
+    disk.on_sync = on_sync
+    runs: list[str] = []
+
+    def job(what: str, work: Callable[[Turn], object]) -> Callable[[Turn], object]:
+        return lambda turn: (runs.append(what), work(turn))[1]
+
+    waiting = [
+        _Ticket(job("release", record)),
+        _Ticket(job("outcome", record), essential=True),
+        _Ticket(job("reader", lambda turn: turn.head()[0])),
+        _Ticket(job("mistake", lambda turn: (record(turn), {}["nothing"])), essential=True),
+    ]
+    store._pending.extend(waiting)
+    assert store.run(job("stop", record), essential=True) == 2
+    release, outcome, reader, mistake = waiting
+    assert isinstance(release.error, StoreError)
+    assert release.error.reason is Reason.STORE_FULL
+    assert (outcome.finish(), reader.finish()) == (1, 2)
+    assert isinstance(mistake.error, KeyError)
+    assert runs == ["release", "outcome", "reader", "mistake", "stop"] * 2
+    assert not ballast.exists()
+    disk.on_sync = lambda: None
+    assert store.restore()
+    assert store.run(record) == 3
+    store.close()
+    assert verify_rows(read_rows(path), terminal=None).whole
+
+
+def test_a_release_that_has_no_room_does_not_touch_the_reserve(
+    path: Path, vfs: tuple[str, Watched]
+) -> None:
+    name, disk = vfs
+    store = open_store(path, vfs=name, reserve_bytes=1 << 16)
+
+    def full() -> None:
+        raise apsw.FullError("no space left")
+
+    disk.on_sync = full
+    with pytest.raises(StoreError) as refused:
+        store.run(record)
+    assert refused.value.reason is Reason.STORE_FULL
+    assert path.with_name("store.db.reserve").exists()
+    disk.on_sync = lambda: None
+    assert store.run(record) == 0
+    store.close()

@@ -13,6 +13,8 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
 import authguard_reference as oracle
+import authguard_reference.templates as oracle_templates
+import streams
 import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
@@ -27,10 +29,15 @@ from authguard_r.core.reasons import PROTECTED
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import Snapshot, attest
 from authguard_r.core.token import Principal, index_mission, verify_mission
-from authguard_r.keys.ed25519 import require_sound
+from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.revocation import read_list
-from authguard_r.keys.trust import Trust
+from authguard_r.keys.trust import ROOT_LISTS, Trust
 from authguard_r.normalize import Binder, normalize
+from authguard_r.templates import Instance, Template, covered
+from authguard_r.templates import require_sound as require_sound_template
+from authguard_r.wire import messages
+from authguard_r.wire.frames import FrameReader, raw_frame, read_body
+from authguard_r.wire.messages import Kind
 
 VECTORS = worlds.ROOT / "vectors"
 
@@ -73,12 +80,21 @@ def facts_from(plain: dict[str, Any]) -> SiteFacts:
     )
 
 
-@pytest.mark.parametrize("vector", GATE["vectors"], ids=lambda v: f"{v['reason']} {v['kind']}")
+def named(vector: dict[str, Any]) -> str:
+    return " ".join([vector["reason"], vector["kind"], vector.get("note", "")]).strip()
+
+
+@pytest.mark.parametrize("vector", GATE["vectors"], ids=named)
 def test_the_gate_gives_the_published_answer(vector: dict[str, Any]) -> None:
     given, expect = vector["input"], vector["expect"]
     facts = facts_from(given.get("facts", GATE["facts"]))
     mission = msgspec.convert(given["mission"], Mission)
-    issuer = Principal(id=mission.issuer, role="operator", usable_until_ms=given["usable_until_ms"])
+    issuer = Principal(
+        id=mission.issuer,
+        role="operator",
+        scope=worlds.EVERYWHERE,
+        usable_until_ms=given["usable_until_ms"],
+    )
     state = None
     if given["state"] is not None:
         snapshot = msgspec.convert(given["state"]["snapshot"], Snapshot)
@@ -99,7 +115,7 @@ def test_the_gate_gives_the_published_answer(vector: dict[str, Any]) -> None:
         assert decision.match.indexed.grant.id == expect["grant"]
 
 
-@pytest.mark.parametrize("vector", GATE["vectors"], ids=lambda v: f"{v['reason']} {v['kind']}")
+@pytest.mark.parametrize("vector", GATE["vectors"], ids=named)
 def test_the_oracle_gives_the_published_answer(vector: dict[str, Any]) -> None:
     given = dict(vector["input"])
     facts = given.pop("facts", GATE["facts"])
@@ -138,16 +154,21 @@ def test_every_planner_text_means_what_is_published() -> None:
         assert got == vector["expect"], vector["name"]
 
 
-def test_every_token_is_taken_or_refused_as_published() -> None:
+@pytest.mark.parametrize("under", ["one root", "two roots"])
+def test_every_token_is_taken_or_refused_as_published(under: str) -> None:
     content = load("token.json")
-    root = x509.load_pem_x509_certificate(content["root"].encode())
+    if under == "two roots":
+        content |= content["hybrid"]
+    roots = x509.load_pem_x509_certificates(content["root"].encode())
+    certs = dict(zip(ROOT_LISTS, roots, strict=False))
+    for name, pem in content["authorities"].items():
+        certs[name] = x509.load_pem_x509_certificate(pem.encode())
     lists = {}
-    for name, pem in [("root", content["root"]), *content["authorities"].items()]:
-        cert = x509.load_pem_x509_certificate(pem.encode())
+    for name, cert in certs.items():
         key = require_sound(cert.public_key(), where=name)
         data = content["revocations"][name].encode()
         lists[cert.public_bytes(Encoding.DER)] = read_list(data, authority=name, key=key)
-    trust, now = Trust(root, lists), Now(content["now_ms"], 0)
+    trust, now = Trust(tuple(roots), lists), Now(content["now_ms"], 0)
     for vector in content["vectors"]:
         try:
             verify_mission(
@@ -157,6 +178,80 @@ def test_every_token_is_taken_or_refused_as_published() -> None:
         except AuthGuardError as error:
             got = str(error.reason)
         assert got == vector["expect"], vector["name"]
+
+
+TEMPLATES = load("template.json")
+
+
+@pytest.mark.parametrize("vector", TEMPLATES["instances"], ids=lambda v: str(v["name"]))
+def test_every_instance_makes_the_published_mission_or_none(vector: dict[str, Any]) -> None:
+    template = msgspec.convert(TEMPLATES["template"], Template)
+    require_sound_template(template)
+    assert digest(Tag.TEMPLATE, encode_fast(template)) == TEMPLATES["digest"]
+    instance, expect = msgspec.convert(vector["instance"], Instance), vector["expect"]
+    if "refusal" in expect:
+        with pytest.raises(AuthGuardError) as error:
+            covered(instance, template, TEMPLATES["digest"])
+        found = {"reason": str(error.value.reason), "where": error.value.where}
+        assert found == expect["refusal"]
+        return
+    mission = covered(instance, template, TEMPLATES["digest"])
+    assert encode_fast(mission) == encode_fast(expect["mission"])
+    assert digest(Tag.MISSION, encode_fast(mission)) == expect["digest"]
+    again = oracle_templates.expand(TEMPLATES["template"], vector["instance"])
+    assert encode_fast(msgspec.convert(again, Mission)) == encode_fast(expect["mission"])
+
+
+@pytest.mark.parametrize("vector", TEMPLATES["unsound"], ids=lambda v: str(v["name"]))
+def test_every_unsound_template_is_refused_where_it_is_published(vector: dict[str, Any]) -> None:
+    with pytest.raises(MalformedError) as error:
+        require_sound_template(msgspec.convert(vector["template"], Template))
+    found = {"reason": str(error.value.reason), "where": error.value.where}
+    assert found == vector["expect"]
+
+
+FRAMES = load("frames.json")
+
+
+def message_named(name: str) -> type[msgspec.Struct]:
+    kind: type[msgspec.Struct] = getattr(messages, name)
+    return kind
+
+
+def test_every_message_is_framed_and_read_as_published() -> None:
+    for vector in FRAMES["accepted"]:
+        (item,) = FrameReader(lambda _: 1 << 12).feed(bytes.fromhex(vector["hex"]))
+        read = read_body(item.body, message_named(vector["message"]))
+        assert (item.kind, item.id) == (vector["kind"], vector["id"])
+        assert json.loads(item.body) == vector["body"]
+        assert raw_frame(item.kind, item.id, item.body).hex() == vector["hex"]
+        assert msgspec.to_builtins(read) == vector["read"], vector["name"]
+
+
+def test_every_message_has_a_published_frame() -> None:
+    published = {vector["message"] for vector in FRAMES["accepted"]}
+    assert {body.__name__ for body in messages.BODY.values()} <= published
+    assert set(map(int, Kind)) == {vector["kind"] for vector in FRAMES["accepted"]}
+
+
+def test_every_body_is_taken_or_refused_as_published() -> None:
+    for vector in FRAMES["bodies"]:
+        try:
+            read = read_body(bytes.fromhex(vector["hex"]), message_named(vector["message"]))
+            got: dict[str, Any] = {"read": msgspec.to_builtins(read)}
+        except MalformedError as error:
+            got = {"error": str(error.reason), "where": error.where}
+        assert got == vector["expect"], vector["name"]
+
+
+def test_every_stream_is_cut_or_ended_as_published() -> None:
+    may = {role: {messages.Kind[name] for name in names} for role, names in FRAMES["may"].items()}
+    for vector in FRAMES["streams"]:
+        kinds = {Kind.HELLO} if vector["role"] is None else may[vector["role"]]
+        bounds = {int(kind): FRAMES["bounds"][kind.name] for kind in kinds}
+        reader = FrameReader(lambda kind, bounds=bounds: bounds.get(kind, 0))  # type: ignore[misc]
+        chunks = [bytes.fromhex(chunk) for chunk in vector["chunks"]]
+        assert streams.cut(reader, chunks) == vector["expect"], vector["name"]
 
 
 def test_the_vectors_are_what_the_generator_writes_save_for_fresh_keys(tmp_path: Path) -> None:
@@ -173,5 +268,5 @@ def test_the_vectors_are_what_the_generator_writes_save_for_fresh_keys(tmp_path:
         script.replace("Path(__file__).resolve().parent.parent", f'Path("{worlds.ROOT}")')
     )
     subprocess.run([sys.executable, str(patched)], check=True)
-    for name in ("encoding.json", "gate.json", "normalize.json"):
+    for name in ("encoding.json", "frames.json", "gate.json", "normalize.json", "template.json"):
         assert (tmp_path / name).read_text() == (VECTORS / name).read_text(), name

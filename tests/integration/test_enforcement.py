@@ -198,8 +198,10 @@ def test_a_foreign_snapshot_satisfies_nothing() -> None:
     estimator = worlds.folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
     data = sign_object(foreign, Tag.STATE, estimator)
     sim.robot.latest = lambda: data
-    report = worlds.propose(sim, GO)
-    assert [str(r) for r in report.judged.decision.reasons] == ["STATE_FOREIGN"]
+    before = sim.gate.enforcer.intake.refresh()
+    assert sim.gate.ledger.snapshot != (9, 1)  # nor does it shut the robot's own estimator out
+    assert before is None or before.snapshot.robot == worlds.RID
+    assert records(sim, "intake")[-1].open["reasons"] == ["STATE_FOREIGN"]
 
 
 # both gates
@@ -304,11 +306,11 @@ def test_an_outcome_that_cannot_be_recorded_leaves_the_release_open(tmp_path: Pa
     sim = ready()
     run, count = sim.gate.ledger.store.run, []
 
-    def fails_at_the_outcome(job: Any) -> Any:
+    def fails_at_the_outcome(job: Any, **more: Any) -> Any:
         count.append(1)
         if len(count) == 3:  # recovery, decision, outcome
             raise StoreError("gone")
-        return run(job)
+        return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
     report = worlds.propose(sim, GO)
@@ -337,11 +339,11 @@ def test_a_postcondition_settles_an_unknown_outcome() -> None:
     )
     run, count = sim.gate.ledger.store.run, []
 
-    def fails_at_the_outcome(job: Any) -> Any:
+    def fails_at_the_outcome(job: Any, **more: Any) -> Any:
         count.append(1)
         if len(count) == 3:  # recovery, decision, outcome
             raise StoreError("gone")
-        return run(job)
+        return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
     assert worlds.propose(sim, pick).outcome is Outcome.SUCCEEDED
@@ -595,11 +597,11 @@ def test_a_mission_is_not_resumed_while_nobody_knows_what_happened() -> None:
     sim = ready()
     run, count = sim.gate.ledger.store.run, []
 
-    def fails_at_the_outcome(job: Any) -> Any:
+    def fails_at_the_outcome(job: Any, **more: Any) -> Any:
         count.append(1)
         if len(count) == 3:
             raise StoreError("gone")
-        return run(job)
+        return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
     worlds.propose(sim, GO)
@@ -613,11 +615,11 @@ def test_a_gate_that_starts_recovers_before_its_first_decision(tmp_path: Path) -
     sim = ready(store=tmp_path / "robot.db")
     run, count = sim.gate.ledger.store.run, []
 
-    def dies_before_the_outcome(job: Any) -> Any:
+    def dies_before_the_outcome(job: Any, **more: Any) -> Any:
         count.append(1)
         if len(count) == 3:
             raise StoreError("killed")
-        return run(job)
+        return run(job, **more)
 
     sim.gate.ledger.store.run = dies_before_the_outcome
     worlds.propose(sim, GO)
@@ -743,11 +745,11 @@ def test_the_last_success_may_come_by_a_signed_word() -> None:
     sim.gate.management.activate(worlds.token(mission))
     run, count = sim.gate.ledger.store.run, []
 
-    def fails_at_the_outcome(job: Any) -> Any:
+    def fails_at_the_outcome(job: Any, **more: Any) -> Any:
         count.append(1)
         if len(count) == 3:
             raise StoreError("gone")
-        return run(job)
+        return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
     worlds.propose(sim, GO)

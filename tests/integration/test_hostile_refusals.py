@@ -35,7 +35,7 @@ def test_a_plan_that_cannot_be_quoted_is_refused_and_recorded(data: bytes) -> No
     store = simulation.gate.ledger.store
     assert isinstance(store, MemoryStore)
     before = len(store.rows())
-    report = simulation.gate.enforcer.refuse_plan(caught.value)
+    report = simulation.gate.enforcer.refuse_plan(caught.value, planner="planner")
     assert report.refusal is not None
     assert report.refusal.reason in {Reason.MALFORMED, Reason.TOOL_UNKNOWN, Reason.DIALECT_UNKNOWN}
     assert len(store.rows()) == before + 1

@@ -13,11 +13,18 @@ import msgspec
 import authguard_reference as oracle
 import worlds
 from authguard_r.approvals import open_approval
+from authguard_r.approvals.organization import OrganizationPolicy
+from authguard_r.assembly import folder_signer
+from authguard_r.core.approval import Verdict
+from authguard_r.core.encoding import Tag
 from authguard_r.core.quantities import Now
+from authguard_r.core.token import sign_object
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.sqlite import read_rows
+from authguard_r.wire.messages import ClientRole
 from cases import plain, plain_facts
+from gates import RunningGate, until
 from missionpair.bench import approve, make_bench, propose
 from missionpair.suite import restricted
 
@@ -44,6 +51,8 @@ def redecided(path: Path, folder: Path) -> list[tuple[list[str], list[str], str]
         record, sealed = json.loads(row.record), values(row)
         if record["link"]["decision"] == "activate":
             missions[record["open"]["mission"]] = mission_of(sealed["token"])
+        if record["link"]["decision"] == "risk-policy":  # in force from here on
+            facts = {**facts, "risk": [mission_of(sealed["token"])["policy"]]}
         if record["kind"] != "decision":
             continue
         now = Now(**sealed["now"])
@@ -93,4 +102,34 @@ def test_approvals_are_among_the_inputs(tmp_path: Path) -> None:
     scene.sim.gate.close()
     found = redecided(tmp_path / "robot.db", tmp_path / "trust")
     assert [verdict for *_, verdict in found] == ["request_approval", "accept"]
+    assert all(recorded == again for recorded, again, _ in found)
+
+
+def test_the_organizations_policy_is_among_the_inputs(tmp_path: Path) -> None:
+    """A gate with a policy of its organization: the log has what each decision was held to."""
+    policy = OrganizationPolicy(
+        schema="authguard-r/risk-policy/1",
+        organization="hospital",
+        version=1,
+        issued="2026-01-01T00:00:00Z",
+        policy=msgspec.structs.replace(worlds.mission().risk_policy, tau_1=10, tau_2=11),
+    )
+    token = tmp_path / "policy.token"
+    signer = folder_signer(worlds.trust_folder(), "safety-officer-1")
+    token.write_bytes(sign_object(policy, Tag.RISK_POLICY, signer))
+    plan = b'{"tool": "navigate_to", "arguments": {"destination": "Pharmacy", "speed": 0.5}}'
+    with RunningGate(simulate=True) as gate:
+        gate.stop_process("gate")
+        gate.start_gate("--risk-policy", str(token))
+        gate.activate()
+        planner = gate.client(ClientRole.PLANNER)
+        until(lambda: "APPROVAL_REQUIRED" in planner.propose(plan)["steps"][-1]["reasons"])
+        with gate.client(ClientRole.OPERATOR) as console:
+            (question,) = console.approvals()
+            by = folder_signer(worlds.trust_folder(), "supervisor-1")
+            console.answer(question, Verdict.APPROVE, by)
+        assert planner.propose(plan)["steps"][-1]["reasons"] == []
+        gate.stop_process("gate")
+        found = redecided(gate.store, worlds.trust_folder())
+    assert [verdict for *_, verdict in found][-2:] == ["request_approval", "accept"]
     assert all(recorded == again for recorded, again, _ in found)

@@ -25,7 +25,7 @@ import apsw
 import pytest
 
 import worlds
-from authguard_r import assembly
+from authguard_r import assembly, times
 from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.commands import Command, Verb
@@ -165,7 +165,7 @@ class LogFile(apsw.VFSFile):
 
 def fill(sim: Simulation) -> None:
     """Record small things until not even one of them has room."""
-    stop = stop_entry("operator-1", is_planner=False)
+    stop = stop_entry("operator-1", is_planner=False, details={}, why="")
 
     def has_room() -> bool:
         try:
@@ -519,7 +519,7 @@ def test_a_store_that_was_half_made_is_made_anew(tmp_path: Path, how: str) -> No
 def test_a_store_that_was_half_made_is_of_no_simulated_time(tmp_path: Path, how: str) -> None:
     """So nothing keeps a gate with the machine's clock from making it anew."""
     path = half_made(how, tmp_path)
-    assert isinstance(assembly.store_clock(path), assembly.SystemClock)
+    assert isinstance(times.store_clock(path), times.SystemClock)
     open_store(path).close()
 
 
@@ -675,7 +675,7 @@ def test_no_damage_to_the_file_gets_anything_but_a_store_error_out_of_it(
         path.write_bytes(damaged(filled, random.Random(f"{SEED}-{number}")))
         found = attempt(lambda: verify_rows(read_rows(path), terminal=None))
         attempt(lambda: read_held(path, "standing", MID))
-        attempt(lambda: assembly.store_clock(path))
+        attempt(lambda: times.store_clock(path))
         sim = attempt(lambda: worlds.simulation(store=path, start_ms=LATER_MS))
         if sim is not None:
             report = worlds.propose(sim, LOOK)  # whatever it says, it says it
@@ -821,12 +821,18 @@ class Late:
         self._committed = threading.Event()
         self._back = threading.Event()
 
-    def run(self, job: Callable[[Turn], T]) -> T:
-        result = self._store.run(job)
+    def run(self, job: Callable[[Turn], T], *, essential: bool = False) -> T:
+        result = self._store.run(job, essential=essential)
         if threading.get_ident() == self._slow:
             self._committed.set()
             assert self._back.wait(PATIENCE)
         return result
+
+    def read(self, job: Callable[[Turn], T]) -> T:
+        return self._store.read(job)
+
+    def restore(self) -> bool:
+        return self._store.restore()
 
     def close(self) -> None:
         self._store.close()

@@ -7,6 +7,7 @@ agreement on refusing, so the shares are asserted: what is accepted, and every r
 
 from __future__ import annotations
 
+from collections import Counter
 from random import Random
 
 import pytest
@@ -15,10 +16,20 @@ from hypothesis import strategies as st
 
 from authguard_r.core.decision import Verdict
 from authguard_r.core.reasons import PROTECTED
-from cases import ALONE, Case, accepted_case, broken_case, decide_case, oracle_case
+from cases import (
+    ALONE,
+    Case,
+    accepted_case,
+    broken_case,
+    decide_case,
+    oracle_case,
+    organized,
+)
 
 #: Cases of each kind; together at least 20,000, at least 30 % of them accepted.
 ACCEPTED, BROKEN, EACH = 8_000, 7_000, 150
+#: Cases with policies of the organization and approvals of groups.
+ORGANIZED = 1_000
 RELAXED = settings(
     deadline=None,
     database=None,
@@ -96,3 +107,23 @@ def test_gate_and_oracle_agree_on_whatever_is_broken() -> None:
 
     holds()
     assert seen >= BROKEN
+
+
+def test_gate_and_oracle_agree_under_an_organization_and_with_groups() -> None:
+    """The strictest policy counts, and what a group counts is added to nobody."""
+    counted: Counter[str] = Counter()
+
+    @settings(RELAXED, max_examples=ORGANIZED)
+    @given(SEEDS)
+    def holds(seed: int) -> None:
+        case = organized(Random(seed))
+        verdict, reasons = agree(case)
+        counted[reasons[0] if reasons else verdict] += 1
+        counted["group"] += verdict == Verdict.ACCEPT and any(
+            answer.approver.members for answer in case.approvals
+        )
+
+    holds()
+    assert counted["accept"] >= ORGANIZED // 5, counted
+    assert counted["APPROVAL_REQUIRED"] >= ORGANIZED // 5, counted
+    assert counted["group"] >= ORGANIZED // 20, counted

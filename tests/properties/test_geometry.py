@@ -16,7 +16,8 @@ from itertools import pairwise
 import numpy as np
 import shapely
 
-from authguard_r.core.geometry import Point, Polygon, may_cross, may_lie_in, polygon
+from authguard_r.core.geometry import Point, Polygon, may_lie_in, polygon
+from authguard_r.site.paths import may_cross
 
 SEED = os.environ.get("AUTHGUARD_SEED", "geometry")
 HAIR = 1e-9

@@ -3,17 +3,22 @@
 
 from __future__ import annotations
 
+import os
 import time
+from datetime import UTC, datetime
 
 import pytest
 
 import worlds
-from authguard_r.assembly import SystemClock, assemble, folder_signer, offline_gate, store_clock
-from authguard_r.core.errors import AuthGuardError, ControllerError
+from authguard_r.assembly import assemble, demo_members, folder_signer, offline_gate
+from authguard_r.core.errors import AuthGuardError, ControllerError, StoreError
+from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_trust
+from authguard_r.ledger import Ledger
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
+from authguard_r.times import SystemClock, store_clock
 
 
 def parts(name: str = "gate-courier-1", **changes):  # type: ignore[no-untyped-def]
@@ -53,7 +58,7 @@ def test_an_offline_gate_moves_nothing(tmp_path) -> None:  # type: ignore[no-unt
     gate = offline_gate(
         worlds.trust_folder(), worlds.site(), rid=worlds.RID, store=tmp_path / "robot.db"
     )
-    controller = gate.enforcer._controller
+    controller = gate.enforcer._watch.controller
     with pytest.raises(ControllerError):
         controller.dispatch(worlds.navigate("dock", "pharmacy"), None)  # type: ignore[arg-type]
     controller.stop()
@@ -88,7 +93,7 @@ def test_simulated_time_goes_on_where_it_was_committed(tmp_path) -> None:  # typ
 def test_a_store_of_the_machines_own_time_is_not_simulated(tmp_path) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "robot.db"
     gate = assemble(**parts(store=open_store(path), clock=SystemClock()), demo=True)
-    gate.ledger.run(lambda act: act.now)
+    gate.management.started()  # something that is committed
     gate.close()
     assert isinstance(store_clock(path), SystemClock)
     path.write_bytes(b"junk")
@@ -99,3 +104,41 @@ def test_a_store_of_another_robot_is_refused(tmp_path) -> None:  # type: ignore[
     worlds.simulation(store=tmp_path / "robot.db").gate.close()
     with pytest.raises(AuthGuardError, match="ROBOT_MISMATCH"):
         worlds.simulation(store=tmp_path / "robot.db", rid=worlds.OTHER)
+
+
+@pytest.fixture
+def other_trust(tmp_path):  # type: ignore[no-untyped-def]
+    folder = tmp_path / "trust"
+    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    init_folder(folder, demo_members(worlds.site(), (worlds.RID,)), now=begin)
+    return folder
+
+
+def test_a_log_that_began_under_another_root_is_refused_and_let_go(tmp_path, other_trust) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "robot.db"
+    assemble(**parts(store=open_store(path)), demo=True).close()
+    theirs = {
+        "trust": read_trust(other_trust),
+        "chain": folder_signer(other_trust, "gate-courier-1").chain,
+    }
+    with pytest.raises(StoreError, match="another trust root"):
+        assemble(**parts(store=open_store(path), **theirs), demo=True)
+    assemble(**parts(store=open_store(path)), demo=True).close()  # ours still
+
+
+@pytest.mark.parametrize(("first", "then"), [("shadow", "enforce"), ("enforce", "shadow")])
+def test_each_mode_has_a_store_of_its_own(first: str, then: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    marks = {"shadow": {"mode": "shadow"}, "enforce": {}}
+    path = tmp_path / "robot.db"
+    assemble(**parts(store=open_store(path)), demo=True, marks=marks[first]).close()
+    with pytest.raises(StoreError, match=f"began in mode `{first}`"):
+        assemble(**parts(store=open_store(path)), demo=True, marks=marks[then])
+    assemble(**parts(store=open_store(path)), demo=True, marks=marks[first]).close()
+
+
+def test_a_log_that_does_not_say_whose_it_is_goes_on_enforcing_and_nothing_else() -> None:
+    clock, store = SystemClock(), MemoryStore()
+    Ledger(store, clock, robot=worlds.RID, salts=os.urandom, genesis={})
+    assert assemble(**parts(store=store, clock=clock), demo=True).ledger.store is store
+    with pytest.raises(StoreError, match="mode `enforce`"):
+        assemble(**parts(store=store, clock=clock), demo=True, marks={"mode": "shadow"})

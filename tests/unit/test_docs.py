@@ -15,6 +15,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -88,7 +89,9 @@ def command(line: str) -> str:
 
 
 def script(page: tuple[Block, ...]) -> str:
-    lines = ["set -euo pipefail", "exec 2>&1"]
+    # what a page leaves running ends with it
+    ended = "trap 'jobs -p | xargs -r kill 2>/dev/null || true' EXIT"
+    lines = ["set -euo pipefail", "exec 2>&1", ended]
     for number, block in enumerate(page):
         lines.append(f"echo '{MARK} {number}'")
         if block.language == "bash":
@@ -152,6 +155,8 @@ def serve(address: str) -> None:
         link, _ = door.accept()
         data, files, _, _ = socket.recv_fds(link, 1 << 16, 3)
         if os.fork() == 0:
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            threading.Thread(target=end_with, args=(link,), daemon=True).start()
             folder, *words = data.decode().split("\0")
             os.chdir(folder)
             for number, file in enumerate(files):
@@ -163,6 +168,12 @@ def serve(address: str) -> None:
             os._exit(0)
         for file in (*files, link.detach()):
             os.close(file)
+
+
+def end_with(link: socket.socket) -> None:
+    """End this process, as a caller that was ended is: its end of the link is closed then."""
+    link.recv(1)
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def missing(printed: tuple[str, ...], output: list[str]) -> str | None:
@@ -266,7 +277,7 @@ def options_of(program: Path) -> dict[str, set[str]]:
         command = [str(program), *path, "--help"]
         text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         _, _, commands = text.partition("Commands:\n")
-        below = re.findall(r"^  ([a-z]+) ", commands, re.MULTILINE)
+        below = re.findall(r"^  ([a-z-]+) ", commands, re.MULTILINE)
         left += [[*path, name] for name in below]
         if not below:
             options = set(re.findall(r"^  (--[a-z-]+)", text, re.MULTILINE))
@@ -291,6 +302,9 @@ def test_the_page_of_the_library_names_what_is_exported() -> None:
     page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
     told = re.findall(r"^\| `(\w+)` \|", page.partition("\n## ")[0], re.MULTILINE)
     assert sorted(told) == sorted(authguard_r.__all__)
+    assert [n for n in told if getattr(authguard_r, n).__name__ != n] == []
+    with pytest.raises(AttributeError, match="no attribute 'decide_all'"):
+        _ = authguard_r.decide_all
 
 
 def test_every_dependency_has_its_line() -> None:

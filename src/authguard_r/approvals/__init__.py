@@ -7,6 +7,8 @@ Spec page: docs/spec/approval.md
 
 from __future__ import annotations
 
+from typing import Any
+
 from msgspec import Struct
 
 from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
@@ -29,7 +31,7 @@ from authguard_r.core.token import Principal, VerifiedMission, open_token
 APPROVER_ROLES = frozenset({"operator", "supervisor", "safety_officer"})
 
 
-class Selection(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Selection(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """A signed choice of one row of one grant, for one mission version.
 
     Args:
@@ -40,6 +42,7 @@ class Selection(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         row: index of the row among its alternatives.
         nonce: fresh random bytes; a choice is taken in once, so that an old one undoes no new one.
         expires_ms: trusted time after which the choice is not taken in.
+        issued_ms: when it was signed, by its signer's clock; 0 where nobody said.
     """
 
     mid: MissionId
@@ -49,6 +52,7 @@ class Selection(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     row: Count
     nonce: Base64Url
     expires_ms: Count
+    issued_ms: Count = 0
 
 
 def answer(
@@ -72,6 +76,15 @@ def answer(
         expires_ms=request.expires_ms,
         verdict=verdict,
     )
+
+
+def approver_json(approver: Principal) -> dict[str, Any]:
+    """Return how the log names an approver: a person, or a group with how many of whom signed."""
+    named: dict[str, Any] = {"by": approver.id, "role": approver.role, "kind": "individual"}
+    if approver.members:
+        group = {"threshold": approver.threshold, "members": sorted(approver.members)}
+        named |= {"kind": "threshold", **group}
+    return named
 
 
 def open_approval(data: bytes, *, verifier: Verifier, now: Now) -> VerifiedApproval:

@@ -14,12 +14,12 @@ from authguard_r.cli.out import emit
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, binding_digest, require_sound, ways
 from authguard_r.normalize.check import BindingReport, check_binding
-from authguard_r.normalize.interface import Surface, read_interface
+from authguard_r.normalize.interface import Surface, listed_interface, read_interface
 from authguard_r.normalize.rebuild import call_bytes
 from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
 from authguard_r.site.model import Site
-from authguard_r.site.source import convert, read_text
+from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.site.words import standard_words
 
 app = typer.Typer(help="Bindings: what each field of each tool means.", no_args_is_help=True)
@@ -51,7 +51,7 @@ def check(
 ) -> int:
     """Prove that every field of every tool is bound, held and dispatched as authorized."""
     found = _read(binding)
-    report = check_binding(found, _site(found, site), interface=_interface(binding, interface))
+    report = check_binding(found, _site(found, site), interface=compared_with(binding, interface))
     payload = {**msgspec.to_builtins(report), "digest": binding_digest(found)}
     emit(payload, _lines(report), as_json=as_json)
     if report.faults:
@@ -110,7 +110,7 @@ def _site(binding: Binding, path: Path | None) -> Site:
     return probe_site(binding, standard_words()) if path is None else load_site(path)
 
 
-def _interface(binding: str, given: list[str] | None) -> tuple[Surface, ...]:
+def compared_with(binding: str, given: list[str] | None) -> tuple[Surface, ...]:
     """Return what to compare with: what is given, else what a shipped binding is for."""
     if not given:
         return shipped_interface(binding) or ()
@@ -123,6 +123,8 @@ def _surfaces(name: str) -> tuple[Surface, ...]:
     if found is None and Path(name).is_dir():
         files = sorted(file for pattern in _ROS_FILES for file in Path(name).glob(pattern))
         found = tuple(s for f in files for s in read_interface(read_text(f), name=str(f)))
+    elif found is None and Path(name).suffix == ".yaml":
+        found = listed_interface(read_yaml(read_text(Path(name)), where=name), where=name)
     elif found is None:
         found = read_interface(read_text(Path(name)), name=name)
     if not found:

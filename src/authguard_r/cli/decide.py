@@ -27,7 +27,7 @@ from authguard_r.cli.inputs import (
     text_of,
     wall_now,
 )
-from authguard_r.cli.out import decision_json, decision_lines, emit, verdict_code
+from authguard_r.cli.out import decision_lines, emit, verdict_code
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
@@ -44,6 +44,7 @@ from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.parse import read_json
 from authguard_r.report import Judged
 from authguard_r.safety import EnvelopeGate, default_config
+from authguard_r.shapes import decision_json
 from authguard_r.store.sqlite import read_held
 
 

@@ -23,7 +23,7 @@ from authguard_r.assembly import (
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Verification, verify_rows
 from authguard_r.cli.inputs import JsonFlag, read_binding, read_context
-from authguard_r.cli.out import decision_json, emit, report_json, report_lines
+from authguard_r.cli.out import emit, report_lines
 from authguard_r.cli.run import Run, run_plan
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
@@ -36,6 +36,7 @@ from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.safety import EnvelopeGate, default_config, open_config
+from authguard_r.shapes import decision_json, report_json
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml

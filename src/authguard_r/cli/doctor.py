@@ -3,160 +3,177 @@
 
 from __future__ import annotations
 
-import stat
-import sys
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
-import apsw
-import cryptography
 import typer
-from msgspec import Struct, to_builtins
+from msgspec import to_builtins
 
-from authguard_r.cli.inputs import JsonFlag, wall_now
+from authguard_r.cli.binding import compared_with
+from authguard_r.cli.gate_config import open_config, user_number
+from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import AuthGuardError
+from authguard_r.gate.checkup import Setup, checkup, is_safe
+from authguard_r.gate.checkup.advice import Advice, Code, Level, unsafe, warning
 from authguard_r.keys.trust import read_trust
+from authguard_r.site.check import unreviewed
+from authguard_r.site.model import Site
 
-_OLDEST_SQLITE = (3, 51, 3)
+T = TypeVar("T")
 
 
-class Advice(Struct, frozen=True, kw_only=True):
-    """One thing that was looked at.
+class _Lying:
+    """What lies in a folder under the names that `init` and its how-to give; nothing without one.
 
     Args:
-        part: what it is about.
-        level: `ok`, `warning` (works, protects less) or `unsafe` (a real gate refuses).
-        message: what was found.
-        mend: what to do, empty when nothing is needed.
+        folder: where to look; it has to be there.
     """
 
-    part: str
-    level: str
-    message: str
-    mend: str = ""
+    def __init__(self, folder: Path | None) -> None:
+        if folder is not None and not folder.is_dir():
+            raise typer.BadParameter(f"expected a folder, got `{folder}`", param_hint="FOLDER")
+        self._folder = folder
+
+    def at(self, given: Path | None, name: str) -> Path | None:
+        """Return what an option named, else what lies there under the name."""
+        if given is not None or self._folder is None or not name:
+            return given
+        path = self._folder / name
+        return path if path.exists() else None
+
+    def tools(self, given: Path | None) -> Path | None:
+        """Return the binding that a person stands behind, else the one that refuses everything."""
+        return self.at(given, "mine.yaml") or self.at(given, "binding.yaml")
+
+    def gate(self, ending: str) -> str:
+        """Return the name of the gate's key or certificate, empty unless there is just one."""
+        pattern = f"trust/keys/gate-*.{ending}"
+        found = [] if self._folder is None else list(self._folder.glob(pattern))
+        return str(found[0].relative_to(self._folder)) if self._folder and len(found) == 1 else ""
 
 
 def doctor(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="A folder as `init` fills it: its parts, where no option names one."),
+    ] = None,
     trust: Annotated[
         Path | None, typer.Option("--trust", help="A trust folder to look at.")
     ] = None,
     store: Annotated[Path | None, typer.Option("--store", help="A store to look at.")] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
+    binding: Annotated[
+        Path | None, typer.Option("--binding", help="The planner's tools; needs --site.")
+    ] = None,
+    interface: Annotated[
+        list[str] | None,
+        typer.Option("--interface", help="What the tools say of themselves; may be repeated."),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="The gate's configuration; needs --trust.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option("--key", help="The gate's private key.")] = None,
+    cert: Annotated[Path | None, typer.Option("--cert", help="The gate's certificates.")] = None,
+    run: Annotated[
+        Path | None, typer.Option("--run", help="The folder of the gate's sockets.")
+    ] = None,
+    counter: Annotated[
+        Path | None, typer.Option("--counter", help="The outside counter's file.")
+    ] = None,
+    user: Annotated[
+        str | None, typer.Option("--user", help="Who runs the gate (default: you).")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Name every unsafe or missing part of this set-up, and how to mend it."""
-    advice = [*_machine()]
+    lies = _Lying(folder)
+    trust, site, binding = lies.at(trust, "trust"), lies.at(site, "site.yaml"), lies.tools(binding)
+    config, store = lies.at(config, "gate.token"), lies.at(store, "robot.db")
+    key, cert = lies.at(key, lies.gate("key.pem")), lies.at(cert, lies.gate("cert.pem"))
+    run = lies.at(run, "run")
+    listed = lies.at(None, "interface.yaml")
+    for given, needed, name in ((binding, site, "--site"), (config, trust, "--trust")):
+        if given is not None and needed is None:
+            raise typer.BadParameter(f"`{given}` cannot be read without it", param_hint=name)
+    faults: list[Advice] = []
+    model = _part(faults, "site", Code.SITE, site, lambda path: load_site(path, trust))
+    tools = surfaces = None
+    if model is not None:
+        tools = _part(faults, "binding", Code.BINDING, binding, lambda p: read_binding(p, model))
+        compare = interface or ([str(listed)] if listed is not None else None)
+        surfaces = _part(
+            faults, "binding", Code.BINDING, binding, lambda p: compared_with(str(p), compare)
+        )
+    configured = None
     if trust is not None:
-        advice += _trust(trust)
-    if store is not None:
-        advice += _store(store)
-    lines = [
-        f"{a.level:8} {a.part}: {a.message}" + (f" -> {a.mend}" if a.mend else "") for a in advice
-    ]
-    unsafe = any(item.level == "unsafe" for item in advice)
-    emit({"safe": not unsafe, "advice": [to_builtins(a) for a in advice]}, lines, as_json=as_json)
-    return 5 if unsafe else 0
-
-
-def _machine() -> Iterator[Advice]:
-    version = ".".join(map(str, sys.version_info[:3]))
-    yield Advice(part="python", level="ok", message=version)
-    yield Advice(part="cryptography", level="ok", message=cryptography.__version__)
-    built = apsw.sqlite_lib_version()
-    sound = tuple(map(int, built.split("."))) >= _OLDEST_SQLITE
-    yield Advice(
-        part="sqlite",
-        level="ok" if sound else "unsafe",
-        message=built,
-        mend="" if sound else "install apsw's own wheel: this SQLite can corrupt a WAL",
+        configured = _part(faults, "config", Code.CONFIG, config, lambda p: open_config(p, trust))
+    setup = Setup(
+        demo=_is_demo(trust),
+        uid=os.geteuid() if user is None else user_number(user, where="--user"),
+        trust=trust,
+        key=key,
+        chain=cert,
+        site=model,
+        binding=tools,
+        model=site,
+        tools=binding,
+        interface=surfaces or (),
+        config=configured,
+        store=store,
+        run=run,
+        counter=lies.at(counter, "counter"),
+        files=tuple(path for path in (site, binding, config) if path is not None),
+        deep=True,
     )
-    if not sys.platform.startswith("linux"):
-        yield Advice(
-            part="platform",
-            level="unsafe",
-            message=f"{sys.platform}: missions can be written and signed here, not enforced",
-            mend="run the gate on Linux",
-        )
+    found = (*checkup(setup, wall_now(None)), *faults, *_open(model, site))
+    payload = {"safe": is_safe(found), "advice": [to_builtins(item) for item in found]}
+    emit(payload, [_line(item) for item in found], as_json=as_json)
+    return 0 if is_safe(found) else 5
 
 
-def _trust(folder: Path) -> Iterator[Advice]:
+def _part(
+    faults: list[Advice], part: str, code: Code, path: Path | None, read: Callable[[Path], T]
+) -> T | None:
+    """Return a part once it can be read; what is wrong with it is one more finding."""
+    if path is None:
+        return None
     try:
-        trust = read_trust(folder)
+        return read(path)
     except AuthGuardError as error:
-        yield Advice(
-            part="trust", level="unsafe", message=str(error), mend="authguard keys init DIR"
-        )
-        return
-    if trust.demo:
-        yield Advice(
-            part="trust",
-            level="warning",
-            message="the root says `demo`: every private key lies in this folder",
-            mend="make a set-up whose keys stay on their own machines",
-        )
-    now = wall_now(None)
-    for key in sorted(folder.glob("keys/*.key.pem")):
-        mode = stat.S_IMODE(key.stat().st_mode)
-        if mode & 0o077:
-            yield Advice(
-                part=f"keys/{key.name}",
-                level="unsafe",
-                message=f"readable by others (mode {mode:o})",
-                mend=f"chmod 600 {key}",
+        mend = f"authguard {'gate-config' if code is Code.CONFIG else part} --help"
+        faults.append(unsafe(part, code, str(error), place=str(path), mend=mend))
+        return None
+
+
+def _open(model: Site | None, path: Path | None) -> Iterator[Advice]:
+    """Yield what a skeleton or an import left for a person to say."""
+    mend = f"authguard site check {path}"
+    for place in () if model is None else unreviewed(model):
+        message = "unreviewed: nobody has looked at it, and nobody can sign it so"
+        yield warning("site", Code.SITE, message, place=place, mend=mend)
+    for robot, held in () if model is None else model.robots.items():
+        if not held.profile.tools:
+            place = f"robots.{robot}.profile.tools"
+            yield warning(
+                "site", Code.SITE, f"`{robot}` can do nothing yet", place=place, mend=mend
             )
-    for cert in sorted(folder.glob("keys/*.cert.pem")):
-        yield from _certificate(cert, folder, now.utc_ms)
 
 
-def _certificate(path: Path, folder: Path, now_ms: int) -> Iterator[Advice]:
-    from cryptography import x509
-    from cryptography.hazmat.primitives.serialization import Encoding
-
-    from authguard_r.core.quantities import Now, to_timestamp
-
+def _is_demo(trust: Path | None) -> bool:
+    """True for a root that says so; what is wrong with the folder, the checkup says."""
     try:
-        chain = x509.load_pem_x509_certificates(path.read_bytes())
-        ders = tuple(c.public_bytes(Encoding.DER) for c in chain)
-        leaf = read_trust(folder).identify(ders, Now(now_ms, 0))
-    except (AuthGuardError, ValueError) as error:
-        yield Advice(
-            part=f"keys/{path.name}", level="unsafe", message=str(error), mend="issue it again"
-        )
-        return
-    if leaf.not_after_ms - now_ms < 14 * 86_400_000:
-        yield Advice(
-            part=f"keys/{path.name}",
-            level="warning",
-            message=f"usable only until {to_timestamp(leaf.not_after_ms)}",
-            mend="renew certificate and revocation lists",
-        )
+        return trust is not None and read_trust(trust).demo
+    except AuthGuardError:
+        return False
 
 
-def _store(path: Path) -> Iterator[Advice]:
-    from authguard_r.audit.verify import verify_rows
-    from authguard_r.store.sqlite import read_rows
-
-    if not path.parent.is_dir():
-        yield Advice(
-            part="store", level="unsafe", message=f"no folder `{path.parent}`", mend="mkdir"
-        )
-        return
-    if not path.exists():
-        yield Advice(part="store", level="ok", message="new: made when first used")
-        return
-    try:
-        found = verify_rows(read_rows(path), terminal=None)
-    except AuthGuardError as error:
-        yield Advice(
-            part="store", level="unsafe", message=str(error), mend="see docs/howto/store.md"
-        )
-        return
-    level = "ok" if found.whole else "unsafe"
-    yield Advice(part="store", level=level, message=found.fault or f"{found.size} records, whole")
-    yield Advice(
-        part="anchor",
-        level="warning",
-        message="a chain alone does not show that its end is missing",
-        mend="keep the signed checkpoint elsewhere: audit verify --checkpoint",
+def _line(item: Advice) -> str:
+    """Return a finding for people; a place only when nothing else names it."""
+    told = item.level is Level.OK or item.place in f"{item.part} {item.message} {item.mend}"
+    place = "" if told else f" (at {item.place})"
+    return f"{item.level:8} {item.part}: {item.message}{place}" + (
+        f" -> {item.mend}" if item.mend else ""
     )

@@ -5,20 +5,24 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from cryptography import x509
 
 from authguard_r.assembly import demo_members
-from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
+from authguard_r.cli.inputs import JsonFlag, load_site
+from authguard_r.cli.key_answers import init_authorities
 from authguard_r.cli.out import emit
-from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.reasons import Reason
-from authguard_r.keys.setup import init_folder
-from authguard_r.keys.trust import read_trust
+from authguard_r.keys.algorithms import Algorithm
+from authguard_r.keys.setup import AUTHORITIES, init_folder
 from authguard_r.sim.example import bundled_hospital
+
+#: What `--algorithm` takes; the algorithms that then have to sign, each under a root of its own.
+_CHOICES: dict[str, tuple[Algorithm, ...]] = {
+    **{str(algorithm): (algorithm,) for algorithm in Algorithm},
+    "hybrid": (Algorithm.ED25519, Algorithm.ML_DSA_65),
+}
 
 app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)
 
@@ -35,60 +39,42 @@ def init(
     robot: Annotated[
         list[str] | None, typer.Option("--robot", help="A robot of the site; may be repeated.")
     ] = None,
+    algorithm: Annotated[
+        str,
+        typer.Option(
+            "--algorithm", help=f"What signs: {', '.join(_CHOICES)} (both ed25519 and ml-dsa-65)."
+        ),
+    ] = str(Algorithm.ED25519),
+    authorities: Annotated[
+        str, typer.Option("--authorities", help="With --no-demo: which to certify.")
+    ] = ",".join(AUTHORITIES),
     as_json: JsonFlag = False,
 ) -> int:
     """Write a root, role authorities, and keys for people, robot gate, estimator and witness.
 
-    One folder that holds every private key protects nothing: use it to try things out.
+    One folder that holds every private key protects nothing: use it to try things out. With
+    `--no-demo` roots and authorities alone, for the authority's own machine.
     """
+    if algorithm not in _CHOICES:
+        text = f"expected one of {', '.join(_CHOICES)}, got `{algorithm}`"
+        raise typer.BadParameter(text, param_hint="--algorithm")
     if not demo:
-        raise EnvironmentFault(
-            "a set-up over several machines is not built yet; `--demo` makes one folder",
-            reason=Reason.STORE_UNAVAILABLE,
-            where="--no-demo",
+        kinds = _CHOICES[algorithm]
+        return init_authorities(
+            folder, site=site, authorities=authorities, algorithms=kinds, as_json=as_json
         )
     model = load_site(site or bundled_hospital() / "site.yaml")
     rids = tuple(RobotId(name) for name in robot or [next(iter(model.robots))])
     unknown = [rid for rid in rids if rid not in model.robots]
     if unknown:
         raise typer.BadParameter(f"the site has no robot `{unknown[0]}`", param_hint="--robot")
-    init_folder(folder, demo_members(model, rids), now=datetime.now(UTC))
+    members, now = demo_members(model, rids), datetime.now(UTC)
+    init_folder(folder, members, now=now, algorithms=_CHOICES[algorithm])
     names = sorted(path.name.removesuffix(".cert.pem") for path in folder.glob("keys/*.cert.pem"))
     lines = [
         f"{folder}: a demo trust set-up (its root says so; a real gate refuses it)",
         *(f"  keys/{name}.key.pem  keys/{name}.cert.pem" for name in names),
     ]
-    payload = {"folder": str(folder), "demo": True, "principals": names}
+    payload = {"folder": str(folder), "demo": True, "algorithm": algorithm, "principals": names}
     emit(payload, lines, as_json=as_json)
     return 0
-
-
-@app.command("show")
-def show(
-    folder: Annotated[Path, typer.Argument(help="A trust folder.")],
-    as_json: JsonFlag = False,
-) -> int:
-    """List who may sign what, until when, and whether each certificate holds now."""
-    trust, now = read_trust(folder), wall_now(None)
-    found: list[dict[str, Any]] = []
-    for path in sorted(folder.glob("keys/*.cert.pem")):
-        chain = x509.load_pem_x509_certificates(path.read_bytes())
-        leaf = trust.identify(tuple(c.public_bytes(_der()) for c in chain), now)
-        found.append(
-            {
-                "principal": leaf.principal,
-                "role": str(leaf.role),
-                "robot": leaf.robot,
-                "serial": str(leaf.serial),
-                "until": f"{chain[0].not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}",
-            }
-        )
-    lines = [f"{f['principal']:24} {f['role']:16} until {f['until']}" for f in found]
-    emit({"demo": trust.demo, "principals": found}, lines, as_json=as_json)
-    return 0
-
-
-def _der() -> Any:
-    from cryptography.hazmat.primitives.serialization import Encoding
-
-    return Encoding.DER

@@ -18,16 +18,25 @@ from authguard_r.core.token import read_token
 from authguard_r.keys.trust import read_file
 
 
+def payload_of(path: Path) -> bytes:
+    """Return the canonical bytes in a file: `compile`'s own, or a token's, its signature unread.
+
+    Raises:
+        MalformedError: a token that is none.
+    """
+    data = read_file(path)
+    if b'"endorsements"' in data:
+        data = unb64(read_token(data).payload, where="token.payload")
+    return data.removesuffix(b"\n")
+
+
 def read_unverified(path: Path) -> Mission:
     """Return a mission from `compile`'s file or from a token: schema-valid, its signature unread.
 
     Raises:
         MalformedError: neither.
     """
-    data = read_file(path)
-    if b'"endorsements"' in data:
-        data = unb64(read_token(data).payload, where="token.payload")
-    mission = decode(data.removesuffix(b"\n"), Mission, where="mission")
+    mission = decode(payload_of(path), Mission, where="mission")
     require_schema(mission)
     return mission
 

@@ -22,7 +22,7 @@ from authguard_r.cli.inputs import (
     read_mission,
     wall_now,
 )
-from authguard_r.cli.out import action_json, emit
+from authguard_r.cli.out import emit
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.identifiers import Digest
@@ -34,6 +34,7 @@ from authguard_r.normalize import Binder, Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.labels import label_fields
 from authguard_r.normalize.parse import read_json
+from authguard_r.shapes import action_json
 
 
 def normalize_command(
@@ -75,13 +76,14 @@ def _mission(token: Path | None, trust: Path | None, now: str | None) -> Verifie
     if trust is None:
         from authguard_r.core.encoding import decode, digest, unb64
         from authguard_r.core.mission import Mission
-        from authguard_r.core.token import Principal, index_mission, read_token
+        from authguard_r.core.token import Principal, Scope, index_mission, read_token
 
         # labels of a preview need the mission's rows, not its authority
         opened = read_token(token.read_bytes())
         payload = unb64(opened.payload, where="token.payload")
         mission = decode(payload, Mission, where="mission")
-        nobody = Principal(id=mission.issuer, role="unverified", usable_until_ms=0)
+        nowhere = Scope(robots=frozenset(), regions=frozenset())
+        nobody = Principal(id=mission.issuer, role="unverified", scope=nowhere, usable_until_ms=0)
         return index_mission(mission, digest(opened.kind, payload), nobody)
     return read_mission(token, read_trust(trust), wall_now(now))
 

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard mission`, second half: the acts that change authority, on a store no gate holds."""
+"""`authguard mission`, second half: the acts that change authority, by the gate or on its store."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Callable, Iterable
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import msgspec
 import typer
@@ -15,6 +16,7 @@ import typer
 from authguard_r.approvals import Selection
 from authguard_r.assembly import folder_signer, offline_gate
 from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.gateway import Orders, running_gate
 from authguard_r.cli.inputs import (
     JsonFlag,
     SiteOption,
@@ -27,19 +29,21 @@ from authguard_r.cli.inputs import (
 from authguard_r.cli.mission import TokenArgument, app
 from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.commands import Command, Verb
 from authguard_r.compile import spoken
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
-from authguard_r.core.token import sign_object, verify_mission
+from authguard_r.core.token import VerifiedMission, read_token, sign_object
 from authguard_r.intake import ISSUER_ROLES
-from authguard_r.keys.signer import FileSigner, read_signer
+from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.management import Management
 from authguard_r.site.model import Site
+from authguard_r.templates import instantiate, open_template
 
+T = TypeVar("T")
 StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]
 KeyOption = Annotated[
     Path | None, typer.Option("--key", help="Who gives the order (default: the demo issuer).")
@@ -48,8 +52,23 @@ CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certi
 RobotOption = Annotated[
     str | None, typer.Option("--robot", help="Which gate of the folder this store is of.")
 ]
+TemplateOption = Annotated[
+    Path | None,
+    typer.Option("--template", help="The signed template, when TOKEN is an instance of it."),
+]
+
+
+class Known(StrEnum):
+    """How a release can be said to have ended; that it is unknown, nobody needs to sign."""
+
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    NOT_STARTED = "not_started"
+    ABORTED = "aborted"
+
+
 #: How long a signed order is worth anything, in milliseconds.
-_ORDER_MS = 120_000
+ORDER_MS = 120_000
 
 
 @app.command("activate")
@@ -67,10 +86,10 @@ def activate_command(
     robot: RobotOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Take in a signed mission (or the active one's next version) and make it active."""
+    """Take in a signed mission, its next version, or a template's instance; make it active."""
     data = read_file(token)
     said = _confirmation(token, confirmation)
-    if said is None:
+    if said is None and read_token(data).kind is not Tag.INSTANCE:
         warn("no confirmation lies beside the token: the log will say that none was given")
     return _manage(
         store,
@@ -100,11 +119,14 @@ def _order(verb: Verb) -> Callable[..., int]:
         store: StoreOption,
         key: KeyOption = None,
         cert: CertOption = None,
+        passphrase_file: PassphraseFile = None,
         robot: RobotOption = None,
+        template: TemplateOption = None,
         as_json: JsonFlag = False,
     ) -> int:
-        signer = _issuer(token, trust, key, cert)
-        signed = _command(token, trust, signer, verb)
+        signed = signed_order(
+            token, trust, template, key, cert, verb=verb, passphrase_file=passphrase_file
+        )
         return _manage(store, trust, site, robot, lambda m: m.command(signed), as_json=as_json)
 
     order.__doc__ = {
@@ -127,15 +149,20 @@ def resolve_command(
     site: SiteOption,
     store: StoreOption,
     ticket: Annotated[str, typer.Option("--ticket", help="The open release.")],
-    outcome: Annotated[Outcome, typer.Option("--outcome", help="What became of it.")],
+    outcome: Annotated[Known, typer.Option("--outcome", help="What became of it.")],
     key: KeyOption = None,
     cert: CertOption = None,
+    passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
+    template: TemplateOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say, signed, how a release ended that nobody could observe."""
-    signer = _issuer(token, trust, key, cert)
-    signed = _command(token, trust, signer, Verb.RESOLVE, ticket=Digest(ticket), outcome=outcome)
+    verified = _opened(token, trust, template)
+    signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
+    signed = _command(
+        verified, signer, Verb.RESOLVE, ticket=Digest(ticket), outcome=Outcome(outcome)
+    )
     return _manage(store, trust, site, robot, lambda m: m.command(signed), as_json=as_json)
 
 
@@ -151,13 +178,15 @@ def choose_command(
     ],
     key: KeyOption = None,
     cert: CertOption = None,
+    passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
+    template: TemplateOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Choose, signed, one of the rows that a grant offers; at a terminal it shows it and asks."""
-    signer = _issuer(token, trust, key, cert)
-    verified = read_mission(token, read_trust(trust), wall_now(None))
+    verified = _opened(token, trust, template)
+    signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     shown = _row_lines(verified.mission, grant, row, load_site(site, trust))
     asks = not yes and sys.stdin.isatty()  # where nobody is, the command is the order
     if asks:
@@ -172,7 +201,8 @@ def choose_command(
         grant=GrantId(grant),
         row=row,
         nonce=b64(os.urandom(16)),
-        expires_ms=at.utc_ms + _ORDER_MS,
+        expires_ms=at.utc_ms + ORDER_MS,
+        issued_ms=at.utc_ms,
     )
     signed = sign_object(selection, Tag.SELECTION, signer)
     said = [] if asks else shown
@@ -198,17 +228,13 @@ def _manage(
     trust: Path,
     site: Path,
     robot: str | None,
-    act: Callable[[Management], Standing],
+    act: Callable[[Orders], Standing],
     said: Iterable[str] = (),
     *,
     as_json: bool,
 ) -> int:
-    """Do one management act on a store that no gate holds, and show the standing."""
-    gate = offline_gate(trust, load_site(site, trust), rid=gate_robot(trust, robot), store=store)
-    try:
-        standing = act(gate.management)
-    finally:
-        gate.close()
+    """Have one order carried out, by the gate that holds the store or on the store itself."""
+    standing = managed(store, trust, site, robot, act=act)
     payload = {"standing": msgspec.to_builtins(standing), "status": str(standing.status)}
     lines = [*said, f"{standing.mid} version {standing.version}: {standing.status}"]
     lines += [f"  open release {release.ticket}" for release in standing.open]
@@ -216,40 +242,98 @@ def _manage(
     return 0
 
 
-def _issuer(token: Path, trust: Path, key: Path | None, cert: Path | None) -> FileSigner:
+def managed(
+    store: Path, trust: Path, site: Path, robot: str | None, *, act: Callable[[Orders], T]
+) -> T:
+    """Do an act of management, by the gate that holds the store or on the store itself.
+
+    Raises:
+        AuthGuardError: it was refused, or the store is held and its gate does not answer.
+    """
+    rid = gate_robot(trust, robot)
+    with running_gate(store, trust, rid) as running:
+        if running is not None:
+            return act(running)
+        gate = offline_gate(trust, load_site(site, trust), rid=rid, store=store)
+        try:
+            return act(gate.management)
+        finally:
+            gate.close()
+
+
+def _opened(token: Path, trust: Path, template: Path | None) -> VerifiedMission:
+    """Return the mission that an order is about: signed itself, or made of a template."""
+    anchor, at = read_trust(trust), wall_now(None)
+    if read_token(read_file(token)).kind is not Tag.INSTANCE:
+        return read_mission(token, anchor, at)
+    if template is None:
+        raise typer.BadParameter("an instance needs its template", param_hint="--template")
+    held = open_template(read_file(template), verifier=anchor, now=at, roles=ISSUER_ROLES)
+    return instantiate(read_file(token), held, verifier=anchor, now=at).mission
+
+
+def signer_of(
+    issuer: str,
+    trust: Path,
+    key: Path | None,
+    cert: Path | None,
+    passphrase_file: Path | None = None,
+) -> FileSigner:
     """Return who gives the order: the keys named, else the demo folder's issuer."""
     if key is not None and cert is not None:
-        return read_signer(key, cert)
+        return open_signer(key, cert, passphrase_file)
     if key is not None or cert is not None:
         raise typer.BadParameter("--key and --cert go together", param_hint="--key")
-    verified = verify_mission(
-        read_file(token), verifier=read_trust(trust), now=wall_now(None), roles=ISSUER_ROLES
-    )
-    return folder_signer(trust, verified.mission.issuer)
+    return folder_signer(trust, issuer)
 
 
 def _command(
-    token: Path,
-    trust: Path,
+    verified: VerifiedMission,
     signer: FileSigner,
     verb: Verb,
     *,
     ticket: Digest | None = None,
     outcome: Outcome | None = None,
 ) -> bytes:
-    at = wall_now(None)
-    verified = read_mission(token, read_trust(trust), at)
+    now_ms = wall_now(None).utc_ms
     command = Command(
         verb=verb,
         mid=verified.mission.mid,
         version=verified.mission.version,
         mission=verified.digest,
         nonce=b64(os.urandom(16)),
-        expires_ms=at.utc_ms + _ORDER_MS,
+        expires_ms=now_ms + ORDER_MS,
+        issued_ms=now_ms,
         ticket=ticket,
         outcome=outcome,
     )
     return sign_object(command, Tag.COMMAND, signer)
 
 
-__all__ = ["app"]
+def signed_order(
+    token: Path,
+    trust: Path,
+    template: Path | None,
+    key: Path | None,
+    cert: Path | None,
+    *,
+    verb: Verb,
+    passphrase_file: Path | None = None,
+) -> bytes:
+    """Return a signed command about a mission, worth two minutes.
+
+    Args:
+        token: the mission's token, or an instance.
+        trust: the trust folder.
+        template: the signed template, when the token is an instance.
+        key: who gives the order; None takes the folder's issuer.
+        cert: the key's certificates.
+        verb: the order.
+        passphrase_file: what opens the key, when somebody has to.
+    """
+    verified = _opened(token, trust, template)
+    signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
+    return _command(verified, signer, verb)
+
+
+__all__ = ["app", "signed_order"]

@@ -11,9 +11,6 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-import msgspec
-
-from authguard_r.core.action import Action
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -23,13 +20,11 @@ from authguard_r.core.errors import (
     RefusedError,
     shown,
 )
-from authguard_r.core.finding import Finding, deviation
-from authguard_r.core.safety import SafetyDecision
+from authguard_r.core.finding import Finding
 from authguard_r.core.standing import Outcome
-from authguard_r.core.token import VerifiedMission
 from authguard_r.normalize.context import Influence
 from authguard_r.normalize.mentions import How
-from authguard_r.report import NOT_EVALUATED, Judged, Report
+from authguard_r.report import Judged, Report
 
 
 def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
@@ -84,103 +79,6 @@ def exit_code(error: AuthGuardError) -> int:
     if isinstance(error, MalformedError | AuthenticityError):
         return 4
     return 5
-
-
-def action_json(action: Action) -> dict[str, Any]:
-    """Return the contract's shape of an action; every key is there."""
-    meta = action.meta
-    return {
-        "type": action.type,
-        "object": action.object,
-        "source": action.source,
-        "destination": action.destination,
-        "route": list(action.route),
-        "params": dict(action.params),
-        "tool": action.tool,
-        "provenance": {field: str(label) for field, label in action.provenance.items()},
-        "meta": {
-            "planner": None if meta is None else meta.planner,
-            "mission": None if meta is None else meta.mission,
-            "mission_version": None if meta is None else meta.mission_version,
-            "timestamp": None if meta is None else meta.timestamp,
-            "evidence": None if meta is None else meta.evidence,
-        },
-    }
-
-
-def mission_json(verified: VerifiedMission) -> dict[str, Any]:
-    """Return how a decision names its mission."""
-    return {
-        "mid": verified.mission.mid,
-        "version": verified.mission.version,
-        "digest": verified.digest,
-    }
-
-
-def finding_json(finding: Finding) -> dict[str, Any]:
-    """Return the contract's shape of a finding."""
-    return {
-        "field": finding.field,
-        "reason": str(finding.reason),
-        "expected": finding.expected,
-        "got": finding.got,
-        "step": finding.step,
-    }
-
-
-def decision_json(judged: Judged, *, authoritative: bool) -> dict[str, Any]:
-    """Return the contract's shape of a decision."""
-    decision = judged.decision
-    return {
-        "outcome": str(decision.verdict),
-        "reasons": [str(reason) for reason in decision.reasons],
-        "findings": [finding_json(finding) for finding in decision.findings],
-        "influenced_by": [],
-        "grant": None if decision.match is None else decision.match.indexed.grant.id,
-        "required_approvals": None if decision.need is None else decision.need.required,
-        "risk": None if decision.need is None else decision.need.risk,
-        "deviation": float(deviation(decision.findings, {})),
-        "mission": mission_json(judged.verified),
-        "action_digest": judged.action_digest,
-        "retryable": decision.retryable,
-        "authoritative": authoritative,
-        "action": action_json(judged.action),
-        "safety": safety_json(judged.safety),
-    }
-
-
-def safety_json(safety: SafetyDecision | None) -> Any:
-    """Return the second gate's verdict, or that it was not asked."""
-    if safety is None:
-        return NOT_EVALUATED
-    return {
-        "safe": safety.safe,
-        "findings": [msgspec.to_builtins(finding) for finding in safety.findings],
-        "repair": None if safety.repair is None else action_json(safety.repair),
-    }
-
-
-def report_json(report: Report) -> dict[str, Any]:
-    """Return what became of one proposal."""
-    if report.judged is None:
-        refusal = report.refusal
-        body: dict[str, Any] = {
-            "outcome": "reject",
-            "reasons": [] if refusal is None else [str(refusal.reason)],
-            "refusal": None if refusal is None else msgspec.to_builtins(refusal),
-        }
-    else:
-        body = decision_json(report.judged, authoritative=True)
-    body["influenced_by"] = [msgspec.to_builtins(item) for item in report.influences]
-    body["released"] = report.outcome is not None
-    body["executed"] = report.outcome not in {None, Outcome.NOT_STARTED}
-    body["execution"] = {
-        "outcome": None if report.outcome is None else str(report.outcome),
-        "reasons": [finding_json(finding) for finding in report.reasons],
-        "recorded": report.outcome_recorded,
-    }
-    body["seq"] = report.seq
-    return body
 
 
 def decision_lines(judged: Judged) -> list[str]:

@@ -13,7 +13,7 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate, store_clock
+from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate
 from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
@@ -28,7 +28,7 @@ from authguard_r.cli.inputs import (
     read_input,
     wall_now,
 )
-from authguard_r.cli.out import emit, exit_code, report_code, report_json, report_lines
+from authguard_r.cli.out import emit, exit_code, report_code, report_lines
 from authguard_r.compile.card import compare
 from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
@@ -45,10 +45,12 @@ from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import How
 from authguard_r.report import Report, average_deviation, plan_deviation
 from authguard_r.safety import open_config
+from authguard_r.shapes import report_json
 from authguard_r.sim.robot import Faults
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
+from authguard_r.times import store_clock
 
 PLANNER = "planner"
 
@@ -94,7 +96,7 @@ def run_plan(
     try:
         read = normalize(plan, binder=simulation.binder, dialect=dialect)
     except AuthGuardError as error:
-        return Run(reports=(enforcer.refuse_plan(error),), steps=0, then="hold")
+        return Run(reports=(enforcer.refuse_plan(error, planner=PLANNER),), steps=0, then="hold")
     reports: list[Report] = []
     for step in read.steps:
         report = enforcer.propose(step, planner=PLANNER, evidence=read.evidence, context=context)

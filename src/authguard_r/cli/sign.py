@@ -21,23 +21,45 @@ from authguard_r.cli.mission_files import (
     write_whole,
 )
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.confirmation import Confirmation, How, confirm, confirmation_bytes
+from authguard_r.compile.confirmation import How, confirm, confirmation_bytes
 from authguard_r.compile.lint import Code, LintFinding, errors, finding_lines, lint, lint_alone
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import RefusedError
+from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
+from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
-from authguard_r.keys.signer import FileSigner, read_signer
+from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
 
 _NO_SITE = "name the site with --site: nobody signs what was not shown"
 
+IssuerKey = Annotated[Path, typer.Option("--key", help="The issuer's key.")]
+IssuerCert = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
+ShownSite = Annotated[
+    Path | None,
+    typer.Option("--site", help="The site, to show card and lint; only --yes goes without."),
+]
+AcceptOption = Annotated[
+    list[str] | None,
+    typer.Option("--accept", help="A lint error to sign nevertheless; may be repeated."),
+]
+SignerTrust = Annotated[
+    Path | None,
+    typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
+]
+TokenOut = Annotated[Path | None, typer.Option("--out", help="Where to write the token.")]
+YesOption = Annotated[
+    bool, typer.Option("--yes", help="Do not ask; recorded as confirmed by a script.")
+]
 
-class _Reading(Struct, frozen=True, kw_only=True):
+
+class Reading(Struct, frozen=True, kw_only=True):
     """What the signer gets to see; without the site there is no card, and little lint."""
 
     card: tuple[str, ...] = ()
@@ -47,51 +69,47 @@ class _Reading(Struct, frozen=True, kw_only=True):
         """Return all of it."""
         return [*self.card, *finding_lines(self.findings)]
 
+    def unaccepted(self, accepted: tuple[Code, ...]) -> list[Code]:
+        """Return the lint errors that nobody accepted."""
+        return sorted(set(errors(self.findings)).difference(accepted))
+
+
+class Agreed(Struct, frozen=True, kw_only=True):
+    """How the signer came to sign: what a confirmation records of it."""
+
+    card: Digest | None
+    how: How
+    accepted: tuple[Code, ...]
+    now: Now
+
 
 def sign_command(
     mission: Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")],
-    key: Annotated[Path, typer.Option("--key", help="The issuer's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
-    site: Annotated[
-        Path | None,
-        typer.Option("--site", help="The site, to show card and lint; only --yes goes without."),
-    ] = None,
-    accept: Annotated[
-        list[str] | None,
-        typer.Option("--accept", help="A lint error to sign nevertheless; may be repeated."),
-    ] = None,
-    trust: Annotated[
-        Path | None,
-        typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Do not ask; recorded as confirmed by a script.")
-    ] = False,
+    key: IssuerKey,
+    cert: IssuerCert,
+    passphrase_file: PassphraseFile = None,
+    site: ShownSite = None,
+    accept: AcceptOption = None,
+    trust: SignerTrust = None,
+    out: TokenOut = None,
+    yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Show the card, ask, and sign. The structure is signed, never the sentence."""
-    if site is None and not yes:
-        raise typer.BadParameter(_NO_SITE, param_hint="--site")
-    opened, signer = read_unverified(mission), read_signer(key, cert)
-    _require_issuer(opened, signer, _trust_folder(trust, cert))
+    require_shown(site, yes=yes)
+    opened, signer = read_unverified(mission), open_signer(key, cert, passphrase_file)
+    require_issuer(opened, signer, trust_folder_of(trust, cert))
     reading = _read(opened, site)
-    accepted = _accepted(accept or [], reading)
-    open_errors = sorted(set(errors(reading.findings)).difference(accepted))
-    if open_errors:
-        return _refused(reading, open_errors, as_json=as_json)
-    if site is None:
-        warn(f"no card was shown, and the confirmation says so; {_NO_SITE}")
-    person = not yes and confirm_shown(reading.lines(), "Sign exactly this?", as_json=as_json)
+    accepted = accepted_codes(accept or [], reading)
+    if unaccepted := reading.unaccepted(accepted):
+        return refuse_lint(reading, unaccepted, as_json=as_json)
+    agreed = agree(reading, accepted, "Sign exactly this?", yes=yes, as_json=as_json)
     confirmation = confirm(
-        opened,
-        card=card_digest(reading.card) if reading.card else None,
-        how=How.INTERACTIVE if person else How.SCRIPT,
-        accepted=accepted,
-        now=wall_now(None),
+        opened, card=agreed.card, how=agreed.how, accepted=agreed.accepted, now=agreed.now
     )
     target = out or mission.with_name(mission.name.removesuffix(".json") + ".token")
-    beside = _write(target, sign_object(opened, Tag.MISSION, signer), confirmation)
+    token = sign_object(opened, Tag.MISSION, signer)
+    beside = write_signed(target, token, confirmation_bytes(confirmation))
     payload = {
         "file": str(target),
         "digest": mission_digest(opened),
@@ -105,21 +123,50 @@ def sign_command(
     return 0
 
 
-def _read(mission: Mission, site: Path | None) -> _Reading:
+def _read(mission: Mission, site: Path | None) -> Reading:
     """Return card and lint; without the site only what can be found without it."""
     if site is None:
-        return _Reading(findings=lint_alone(mission))
+        return Reading(findings=lint_alone(mission))
     model = load_site(site)
-    return _Reading(card=review(mission, model), findings=lint(mission, model))
+    return Reading(card=review(mission, model), findings=lint(mission, model))
 
 
-def _trust_folder(trust: Path | None, cert: Path) -> Path | None:
+def require_shown(site: Path | None, *, yes: bool) -> None:
+    """Refuse to ask a person about something that is not shown."""
+    if site is None and not yes:
+        raise typer.BadParameter(_NO_SITE, param_hint="--site")
+
+
+def agree(
+    reading: Reading, accepted: tuple[Code, ...], question: str, *, yes: bool, as_json: bool
+) -> Agreed:
+    """Ask a person, unless a script signs, and say what was agreed to.
+
+    Args:
+        reading: what was shown; without a card nothing was.
+        accepted: lint errors that were accepted by name.
+        question: what a person is asked.
+        yes: a script signs.
+        as_json: where the question goes.
+    """
+    if not reading.card:
+        warn(f"no card was shown, and the confirmation says so; {_NO_SITE}")
+    person = not yes and confirm_shown(reading.lines(), question, as_json=as_json)
+    return Agreed(
+        card=card_digest(reading.card) if reading.card else None,
+        how=How.INTERACTIVE if person else How.SCRIPT,
+        accepted=accepted,
+        now=wall_now(None),
+    )
+
+
+def trust_folder_of(trust: Path | None, cert: Path) -> Path | None:
     """Return the folder that was named, else the one that the certificate lies in."""
     around = cert.absolute().parent.parent
     return around if trust is None and (around / "root.pem").is_file() else trust
 
 
-def _require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -> None:
+def require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -> None:
     """Refuse a key that every gate would refuse; a signature by the wrong person is no mission.
 
     Without a trust folder nobody knows whose key it is, but a certificate that does not even claim
@@ -138,7 +185,7 @@ def _require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -
     )
     if leaf.role not in ISSUER_ROLES:
         raise RefusedError(
-            f"expected a signer in a role of {sorted(ISSUER_ROLES)}, got `{leaf.role}`",
+            f"expected a signer in a role of {', '.join(sorted(ISSUER_ROLES))}, got `{leaf.role}`",
             reason=Reason.ROLE_DENIED,
             where="--cert",
         )
@@ -150,15 +197,15 @@ def _require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -
         )
 
 
-def _write(target: Path, token: bytes, confirmation: Confirmation) -> Path:
+def write_signed(target: Path, token: bytes, confirmation: bytes) -> Path:
     """Write the confirmation, then the token: no token is without its confirmation."""
     beside = beside_token(target)
-    write_whole(beside, confirmation_bytes(confirmation))
+    write_whole(beside, confirmation)
     write_whole(target, token)
     return beside
 
 
-def _accepted(names: list[str], reading: _Reading) -> tuple[Code, ...]:
+def accepted_codes(names: list[str], reading: Reading) -> tuple[Code, ...]:
     """Return the codes that the signer accepts; only what was found can be accepted."""
     found = errors(reading.findings)
     for name in names:
@@ -169,7 +216,7 @@ def _accepted(names: list[str], reading: _Reading) -> tuple[Code, ...]:
     return tuple(code for code in found if code in names)
 
 
-def _refused(reading: _Reading, codes: list[Code], *, as_json: bool) -> int:
+def refuse_lint(reading: Reading, codes: list[Code], *, as_json: bool) -> int:
     """Say what the signer has to mend or accept, and sign nothing."""
     message = f"mend it, or accept each by name: {' '.join(f'--accept {code}' for code in codes)}"
     where = next(f.where for f in reading.findings if f.code in codes)

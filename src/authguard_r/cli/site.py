@@ -20,8 +20,8 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.errors import MalformedError
-from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.change import changes, line_of
 from authguard_r.site.check import faults, unreviewed
@@ -125,12 +125,13 @@ def sign(
     site: SiteArgument,
     key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
     cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    passphrase_file: PassphraseFile = None,
     out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Sign a site model that has no faults and nothing unreviewed."""
     model = load_site(site)
-    token = sign_site(model, read_signer(key, cert), where=str(site))
+    token = sign_site(model, open_signer(key, cert, passphrase_file), where=str(site))
     target = out or site.with_suffix(".token")
     target.write_bytes(token)
     payload = {"file": str(target), "digest": site_digest(model)}

@@ -45,7 +45,7 @@ def compile_draft(draft: Draft, site: Site, *, now: Now, nonce: str) -> Mission:
             beside the first, all in the order of the draft.
         MalformedError: a word that the site does not know, or a rule of the language broken.
     """
-    if not _is_text(draft.task):
+    if draft.task is not None and not _is_text(draft.task):
         raise MalformedError("expected text that UTF-8 can spell", where="task")
     asked = Questions()
     plain = _plain(draft, site, now, asked)
@@ -61,6 +61,7 @@ def _plain(draft: Draft, site: Site, now: Now, asked: Questions) -> dict[str, An
     """Return the mission's fields; what is open is None and asked about."""
     rid = _robot(draft, site, asked)
     words = Words(site=site, names=names_of(site), rid=rid, ceilings=draft.limits, asked=asked)
+    task = _said(draft.task, "What is asked for, in the operator's own words?", "task", asked)
     issuer = _said(draft.issuer, "Who signs this mission?", "issuer", asked)
     first, last = _window(draft, now, asked)
     place_age = asked.integer(draft.place_max_age, _MS, field="place_max_age")
@@ -76,7 +77,7 @@ def _plain(draft: Draft, site: Site, now: Now, asked: Questions) -> dict[str, An
         "rid": rid,
         "site": site_digest(site),
         "issuer": issuer,
-        "task": draft.task,
+        "task": task,
         "actions": grants,
         "objects": objects if draft.objects is not None else _named(grants, "object"),
         "regions": regions if draft.regions is not None else _touched(grants),

@@ -127,7 +127,7 @@ class Draft(_Draft, frozen=True, kw_only=True):
     """
 
     mission: str
-    task: str
+    task: str | None = None
     robot: str | None = None
     issuer: str | None = None
     version: int = 1

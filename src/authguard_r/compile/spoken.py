@@ -87,12 +87,16 @@ def condition(guard: Guard) -> str:
     if isinstance(value, bool):
         shown = str(value).upper()  # no identifier is upper case
     elif isinstance(value, int):
-        unit = next((unit for end, unit in _ENDINGS if guard.variable.endswith(end)), "count")
-        shown = quantity(value, unit)
+        shown = quantity(value, unit_in_name(guard.variable))
     else:
         shown = f'"{value}"'
     age = duration(guard.max_age_ms)
     return f"{guard.variable} {_COMPARED[guard.comparison]} {shown}, read at most {age} ago"
+
+
+def unit_in_name(name: str) -> str:
+    """Return the unit that a name ends with: `speed_mm_s` is in `mm/s`; a bare number else."""
+    return next((unit for end, unit in _ENDINGS if name.endswith(end)), "count")
 
 
 def row_words(item: Row) -> str:

@@ -55,6 +55,11 @@ class Action(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     provenance: dict[str, Label] = {}
     meta: ActionMeta | None = None
 
+    @property
+    def places(self) -> tuple[ids.RegionId, ...]:
+        """Every region that it names: source, destination, route."""
+        return tuple(filter(None, (self.source, self.destination, *self.route)))
+
 
 class ActionScope(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """What would be carried out, and nothing else: the part of an action that an approval binds.
@@ -74,12 +79,4 @@ class ActionScope(Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 def scope_of(action: Action) -> ActionScope:
     """Return the effect of the action without who proposed it, when, and from what."""
-    return ActionScope(
-        type=action.type,
-        tool=action.tool,
-        object=action.object,
-        source=action.source,
-        destination=action.destination,
-        route=action.route,
-        params=action.params,
-    )
+    return ActionScope(**{name: getattr(action, name) for name in ActionScope.__struct_fields__})

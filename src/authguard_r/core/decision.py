@@ -49,8 +49,7 @@ class Decision(Struct, frozen=True, kw_only=True):
     need: Need | None
 
     def __bool__(self) -> bool:
-        msg = "a decision has no truth value; compare `.verdict`"
-        raise TypeError(msg)
+        raise TypeError("a decision has no truth value; compare `.verdict`")
 
     @property
     def reasons(self) -> tuple[Reason, ...]:

@@ -51,6 +51,10 @@ class Tag(StrEnum):
     STATE = "authguard-r/state/1"
     AUDIT = "authguard-r/audit/1"
     CHECKPOINT = "authguard-r/checkpoint/1"
+    GATE = "authguard-r/gate/1"
+    HANDSHAKE = "authguard-r/handshake/1"
+    TEMPLATE = "authguard-r/template/1"
+    INSTANCE = "authguard-r/instance/1"
     # digests that are compared or chained but never signed by themselves
     ACTION = "authguard-r/action/1"
     SCOPE = "authguard-r/action-scope/1"
@@ -155,5 +159,4 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in cast("list[Any]", value)]
     if isinstance(value, str | bool | int):
         return value
-    msg = f"signed data cannot hold a {type(value).__name__}"
-    raise TypeError(msg)
+    raise TypeError(f"signed data cannot hold a {type(value).__name__}")

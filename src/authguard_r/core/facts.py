@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from authguard_r.core import identifiers as ids
 from authguard_r.core.geometry import Polygon
+from authguard_r.core.mission import RiskPolicy
 
 
 class ParameterKind(Struct, frozen=True, kw_only=True):
@@ -78,10 +79,20 @@ class RobotFacts(Struct, frozen=True, kw_only=True):
 
 
 class SiteFacts(Struct, frozen=True, kw_only=True):
-    """The site model as the decision reads it; `digest` is the one a mission binds."""
+    """The site model as the decision reads it.
+
+    Args:
+        digest: the one that a mission binds.
+        robot: whom the gate guards.
+        regions: every region of the site.
+        objects: the class of each object.
+        vocabulary: the action types.
+        risk: the organization's own policies beside every mission's; the strictest counts.
+    """
 
     digest: ids.Digest
     robot: RobotFacts
     regions: dict[ids.RegionId, RegionFacts]
     objects: dict[ids.ObjectId, str]
     vocabulary: dict[ids.ActionType, ActionKind]
+    risk: tuple[RiskPolicy, ...] = ()

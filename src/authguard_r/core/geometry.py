@@ -7,8 +7,6 @@ Spec page: docs/spec/state.md#place
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 from msgspec import Struct
 
 Point = tuple[int, int]
@@ -45,58 +43,19 @@ def may_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
     (x, y), low, high, far = point, area.low, area.high, margin_mm
     if not (low[0] - far <= x <= high[0] + far and low[1] - far <= y <= high[1] + far):
         return False
-    edges = _edges(area)
-    return _inside(edges, point) or any(_within(a, b, point, margin_mm) for a, b in edges)
+    edges = edges_of(area)
+    return _inside(edges, point) or any(comes_within(a, b, point, margin_mm) for a, b in edges)
 
 
 def must_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
     """True when every position within `margin_mm` of `point` lies inside the polygon's edge."""
-    edges = _edges(area)
-    return _inside(edges, point) and not any(_within(a, b, point, margin_mm) for a, b in edges)
+    edges = edges_of(area)
+    return _inside(edges, point) and not any(comes_within(a, b, point, margin_mm) for a, b in edges)
 
 
-def _edges(area: Polygon) -> list[tuple[Point, Point]]:
+def edges_of(area: Polygon) -> list[tuple[Point, Point]]:
+    """Return the polygon's edges in order, the closing one last."""
     return list(zip(area.points, area.points[1:] + area.points[:1], strict=True))
-
-
-def may_cross(area: Polygon, path: tuple[Point, ...], margin_mm: int) -> bool:
-    """True when some position within `margin_mm` of the path lies in the polygon or on its edge.
-
-    Args:
-        area: the polygon; map and floor are the caller's to compare.
-        path: corners of the way in order, at least one.
-        margin_mm: how far from the way the robot may be.
-    """
-    if any(may_lie_in(area, point, margin_mm) for point in path):
-        return True
-    return any(_near(leg, edge, margin_mm) for leg in pairwise(path) for edge in _edges(area))
-
-
-def stopping_margin(margin_mm: int, speed_mm_s: int, *, reaction_ms: int, brake_mm_s2: int) -> int:
-    """Return how far from its pose a robot may come to rest, in millimeters, rounded up.
-
-    Args:
-        margin_mm: of the pose itself.
-        speed_mm_s: the speed at which it is told to stop; its sign does not matter.
-        reaction_ms: time until the brakes act.
-        brake_mm_s2: deceleration, positive.
-    """
-    speed = abs(speed_mm_s)
-    return margin_mm - (-speed * reaction_ms // 1_000) - (-speed * speed // (2 * brake_mm_s2))
-
-
-def _near(leg: tuple[Point, Point], edge: tuple[Point, Point], margin_mm: int) -> bool:
-    """True when two segments cross or an end of the edge comes within the margin of the leg."""
-    (a, b), (c, d) = leg, edge
-    if side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b):
-        return True
-    return _within(a, b, c, margin_mm) or _within(a, b, d, margin_mm)
-
-
-def side(a: Point, b: Point, point: Point) -> int:
-    """Return 1, 0 or -1: left of, on, or right of the line from `a` to `b`."""
-    cross = (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])
-    return (cross > 0) - (cross < 0)
 
 
 def _inside(edges: list[tuple[Point, Point]], point: Point) -> bool:
@@ -112,7 +71,7 @@ def _inside(edges: list[tuple[Point, Point]], point: Point) -> bool:
     return odd
 
 
-def _within(a: Point, b: Point, point: Point, margin_mm: int) -> bool:
+def comes_within(a: Point, b: Point, point: Point, margin_mm: int) -> bool:
     """True when the segment from `a` to `b` comes within the margin of `point`."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     px, py = point[0] - a[0], point[1] - a[1]

@@ -22,30 +22,33 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+#: A chain, leaf certificate and its role authority's in DER, and a signature by the leaf's key.
+Endorsed = tuple[tuple[bytes, ...], bytes]
+
+
 class Verifier(Protocol):
     """Certificates and signatures (steps 1 and 2)."""
 
-    def verify(
-        self, message: bytes, *, signature: bytes, chain: tuple[bytes, ...], now: Now
-    ) -> Principal:
-        """Return who signed `message`.
+    def verify(self, message: bytes, endorsements: tuple[Endorsed, ...], now: Now) -> Principal:
+        """Return the one principal who signed `message`, with every key that has to.
 
         Raises:
-            AuthenticityError: chain, revocation or signature does not hold at `now`.
+            AuthenticityError: a chain, revocation or signature does not hold at `now`, they are
+                not of one principal, or a root has none.
         """
         ...
 
 
 class Signer(Protocol):
-    """Holds a private key and lends its signature, never itself."""
+    """Holds private keys and lends their signatures, never themselves."""
 
     @property
     def chain(self) -> tuple[bytes, ...]:
-        """Leaf certificate and its role authority's, DER."""
+        """Leaf certificate and its role authority's, DER; of the first key."""
         ...
 
-    def sign(self, message: bytes) -> bytes:
-        """Return the signature over `message`."""
+    def endorse(self, message: bytes) -> tuple[Endorsed, ...]:
+        """Return chain and signature over `message` of each key that signs for this principal."""
         ...
 
 
@@ -62,7 +65,6 @@ class Clock(Protocol):
 
     def pause(self, duration_ms: int) -> None:
         """Return after `duration_ms`; a simulated clock moves its world instead of waiting."""
-        ...
 
 
 class Turn(Protocol):
@@ -74,7 +76,6 @@ class Turn(Protocol):
 
     def put(self, kind: str, key: str, value: bytes) -> None:
         """Hold the value under the key when, and only when, the turn commits."""
-        ...
 
     def head(self) -> tuple[int, bytes]:
         """Return how many records the log has and the last link, 32 zero bytes at first."""
@@ -84,23 +85,43 @@ class Turn(Protocol):
         """Append one record and return its sequence number, from 0."""
         ...
 
+    def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
+        """Return at most `count` rows of the log from `first` on: seq, record, sealed, link."""
+        ...
+
 
 class Store(Protocol):
     """Registry and audit log in one transaction, one writer, durable before it answers."""
 
-    def run(self, job: Callable[[Turn], T]) -> T:
+    def run(self, job: Callable[[Turn], T], *, essential: bool = False) -> T:
         """Run the job in the writer's turn and return its result after it is on disk.
 
-        An exception from the job undoes everything the job did and is raised here.
+        An exception from the job undoes everything the job did and is raised here. When the disk
+        was full and room was made, the job is run once more from the start.
+
+        Args:
+            job: reads, puts and appends.
+            essential: may use the room that is kept for what must be written on a full disk.
 
         Raises:
             StoreError: nothing of the job was committed.
         """
         ...
 
+    def read(self, job: Callable[[Turn], T]) -> T:
+        """Run a job that only reads in the writer's turn; what it puts or appends is dropped.
+
+        Raises:
+            StoreError: it cannot be read.
+        """
+        ...
+
+    def restore(self) -> bool:
+        """Keep room for essential jobs again if it was used; True while there is room beside it."""
+        ...
+
     def close(self) -> None:
         """Finish what was submitted and let go of the file."""
-        ...
 
 
 class SafetyGate(Protocol):
@@ -138,7 +159,6 @@ class Controller(Protocol):
 
     def stop(self) -> None:
         """Brake and hold, at once and whatever runs."""
-        ...
 
 
 class StateSource(Protocol):

@@ -37,8 +37,8 @@ def rho(
     kind = facts.vocabulary.get(action.type)
     score += policy.privacy * (kind.privacy if kind is not None else 3)
     for risk in policy.parameters:
-        share = abs(action.params.get(risk.parameter, 0))  # backwards is as fast
-        score += -(-risk.weight * share // risk.full_scale)
+        # backwards is as fast
+        score += -(-risk.weight * abs(action.params.get(risk.parameter, 0)) // risk.full_scale)
     for condition in policy.states:
         # counted unless attested state shows that the condition is false
         finding = guard_finding(condition.guard, state, facts.robot.rid, now)
@@ -55,18 +55,18 @@ def tier_of(policy: RiskPolicy, score: int) -> Tier:
 
 
 def required(policy: RiskPolicy, tier: Tier) -> int:
-    """Return Req(a, s): how many principals must stand behind the action, the issuer included."""
-    return {Tier.ORDINARY: 1, Tier.ELEVATED: 2, Tier.HIGH: policy.t}[tier]
+    """Return Req(a, s): how many principals must stand behind the action, the issuer included.
+
+    One on the first line, two on the second: the numbers of the lines.
+    """
+    return policy.t if tier is Tier.HIGH else int(tier)
 
 
 def _region_weight(action: Action, policy: RiskPolicy, facts: SiteFacts) -> int:
-    """Return the weight of the heaviest tag of any region involved."""
+    """Return the weight of the heaviest tag of any region involved; no tag is the empty one."""
     heaviest = 0
-    for region in (action.source, action.destination, *action.route):
-        if region is None:
-            continue
+    for region in action.places:
         known = facts.regions.get(region)
-        tags = known.tags if known is not None else ("",)  # no tag is listed as the empty one
-        for tag in tags:
+        for tag in ("",) if known is None else known.tags:
             heaviest = max(heaviest, policy.region_tags.get(tag, policy.otherwise))
     return heaviest

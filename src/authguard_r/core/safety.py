@@ -50,5 +50,4 @@ class SafetyDecision(Struct, frozen=True, kw_only=True):
     repair: Action | None = None
 
     def __bool__(self) -> bool:
-        msg = "a safety decision has no truth value; read `.safe`"
-        raise TypeError(msg)
+        raise TypeError("a safety decision has no truth value; read `.safe`")

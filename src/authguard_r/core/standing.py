@@ -32,8 +32,7 @@ class Outcome(StrEnum):
     UNKNOWN = "unknown"
 
     def __bool__(self) -> bool:
-        msg = "an outcome has no truth value; compare it with one of its members"
-        raise TypeError(msg)
+        raise TypeError("an outcome has no truth value; compare it with one of its members")
 
 
 class Spend(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):

@@ -8,6 +8,7 @@ from the token. Source: `eq:signature`, `alg:authguard` steps 1 to 3. Spec page:
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, TypeVar
 
 from msgspec import Meta, Struct
@@ -22,9 +23,10 @@ from authguard_r.core.identifiers import (
     ParameterId,
     PrincipalId,
     RegionId,
+    RobotId,
 )
 from authguard_r.core.mission import Grant, Limit, Mission, require_schema
-from authguard_r.core.ports import Signer, Verifier
+from authguard_r.core.ports import Endorsed, Signer, Verifier
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
 
@@ -57,18 +59,41 @@ class Token(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     endorsements: Annotated[tuple[Endorsement, ...], Meta(min_length=1, max_length=4)]
 
 
+class Scope(Struct, frozen=True, kw_only=True):
+    """What a certificate confines its holder to; what it does not name is outside.
+
+    Args:
+        robots: whose missions and orders; None when it says "every robot" in so many words.
+        regions: where; None when it says "every region".
+    """
+
+    robots: frozenset[RobotId] | None
+    regions: frozenset[RegionId] | None
+
+    def covers(self, rid: RobotId, regions: Iterable[RegionId] = ()) -> bool:
+        """True when the robot and every region lie inside."""
+        near = self.regions is None or self.regions.issuperset(regions)
+        return near and (self.robots is None or rid in self.robots)
+
+
 class Principal(Struct, frozen=True, kw_only=True):
     """Who a verified certificate speaks for. Made by a `Verifier` only.
 
     Args:
         id: the principal's id from the certificate.
         role: the role in its extended key usage.
+        scope: the robots and regions that it may sign for.
         usable_until_ms: when its certificates or the revocation list end, whichever is first.
+        threshold: how many people stand behind one signature of a group's key.
+        members: the group's people; empty for one person.
     """
 
     id: PrincipalId
     role: Identifier
+    scope: Scope
     usable_until_ms: int
+    threshold: int = 1
+    members: frozenset[PrincipalId] = frozenset()
 
 
 class IndexedGrant(Struct, frozen=True):
@@ -133,32 +158,24 @@ def open_token(
         )
     payload = unb64(token.payload, where="token.payload")
     hashed = digest(tag, payload)
-    signer: Principal | None = None
-    for number, endorsement in enumerate(token.endorsements):
-        where = f"token.endorsements[{number}]"
-        # (1) the certificate, (2) the signature
-        principal = verifier.verify(
-            unb64(hashed),
-            signature=unb64(endorsement.signature, where=f"{where}.signature"),
-            chain=tuple(unb64(c, where=f"{where}.chain") for c in endorsement.chain),
-            now=now,
+    endorsements = tuple(
+        _opened(endorsement, where=f"token.endorsements[{number}]")
+        for number, endorsement in enumerate(token.endorsements)
+    )
+    # (1) the certificates, (2) the signatures
+    signer = verifier.verify(unb64(hashed), endorsements, now)
+    if signer.role not in roles:
+        raise AuthenticityError(
+            f"expected a signer in a role of {sorted(roles)}, got `{signer.role}`",
+            reason=Reason.ROLE_DENIED,
+            where="token.endorsements",
         )
-        if principal.role not in roles:
-            raise AuthenticityError(
-                f"expected a signer in a role of {sorted(roles)}, got `{principal.role}`",
-                reason=Reason.ROLE_DENIED,
-                where=where,
-            )
-        if signer is not None and signer.id != principal.id:
-            raise AuthenticityError(
-                "expected every signature to be of one principal",
-                reason=Reason.ISSUER_MISMATCH,
-                where=where,
-            )
-        signer = principal
-    if signer is None:  # pragma: no cover - the schema demands one endorsement
-        raise RuntimeError("a token without endorsements was decoded")
     return decode(payload, kind, where=str(tag).split("/")[1]), hashed, signer
+
+
+def _opened(endorsement: Endorsement, *, where: str) -> Endorsed:
+    chain = tuple(unb64(certificate, where=f"{where}.chain") for certificate in endorsement.chain)
+    return chain, unb64(endorsement.signature, where=f"{where}.signature")
 
 
 def verify_mission(
@@ -180,9 +197,24 @@ def verify_mission(
             reason=Reason.ISSUER_MISMATCH,
             where="mission.issuer",
         )
+    require_scope(mission, signer)
     # (3) the schema
     require_schema(mission)
     return index_mission(mission, hashed, signer)
+
+
+def require_scope(mission: Mission, signer: Principal) -> None:
+    """Require that the mission's robot and regions lie inside its signer's certificate.
+
+    Raises:
+        AuthenticityError: `SIGNER_OUT_OF_SCOPE`.
+    """
+    if not signer.scope.covers(mission.rid, mission.regions):
+        raise AuthenticityError(
+            "expected a robot and regions that the signer's certificate names",
+            reason=Reason.SIGNER_OUT_OF_SCOPE,
+            where="mission.regions" if signer.scope.covers(mission.rid) else "mission.rid",
+        )
 
 
 def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> VerifiedMission:
@@ -215,9 +247,9 @@ def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> Verifi
 def sign_object(value: object, tag: Tag, signer: Signer) -> bytes:
     """Return a token over the object's canonical bytes, with a final newline for files."""
     payload = encode(value)
-    endorsement = Endorsement(
-        chain=tuple(b64(der) for der in signer.chain),
-        signature=b64(signer.sign(unb64(digest(tag, payload)))),
+    endorsements = tuple(
+        Endorsement(chain=tuple(b64(der) for der in chain), signature=b64(signature))
+        for chain, signature in signer.endorse(unb64(digest(tag, payload)))
     )
-    token = Token(kind=tag, payload=b64(payload), endorsements=(endorsement,))
+    token = Token(kind=tag, payload=b64(payload), endorsements=endorsements)
     return encode_fast(token) + b"\n"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 from msgspec import Struct
@@ -149,8 +149,8 @@ def words_of(site: Site) -> dict[str, Any]:
     }
 
 
-class OpenAIProposer(Struct, frozen=True, kw_only=True):
-    """A proposer behind any server that speaks the chat completions protocol.
+class _ServerProposer(Struct, frozen=True, kw_only=True):
+    """A proposer behind a server; which protocol it speaks is the kind's.
 
     Args:
         base_url: the only address that is spoken to.
@@ -163,6 +163,7 @@ class OpenAIProposer(Struct, frozen=True, kw_only=True):
         retries: further attempts.
     """
 
+    speaks: ClassVar[Callable[[Reach], Chat]]
     base_url: str
     model: str
     schema: Mapping[str, Any]
@@ -176,30 +177,28 @@ class OpenAIProposer(Struct, frozen=True, kw_only=True):
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
     ) -> Proposal:
         """Return the model's draft or questions; see `ModelProposer.propose`."""
-        chat = OpenAIChat(_reach(self))
+        reach = Reach(
+            base_url=self.base_url,
+            model=self.model,
+            api_key_env=self.api_key_env,
+            timeout_s=self.timeout_s,
+            retries=self.retries,
+        )
+        chat = type(self).speaks(reach)
         proposer = ModelProposer(chat, self.schema, self.read, self.check)
         return proposer.propose(sentence, site, robot=robot, settled=settled)
 
 
-class AnthropicProposer(Struct, frozen=True, kw_only=True):
-    """A proposer behind a server that speaks the Messages protocol; fields as `OpenAIProposer`."""
+class OpenAIProposer(_ServerProposer, frozen=True, kw_only=True):
+    """A proposer behind any server that speaks the chat completions protocol."""
 
-    base_url: str
-    model: str
-    schema: Mapping[str, Any]
-    read: ReadJson
-    check: CheckDraft
-    api_key_env: str | None = None
-    timeout_s: float = 60.0
-    retries: int = 2
+    speaks: ClassVar[Callable[[Reach], Chat]] = OpenAIChat
 
-    def propose(
-        self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
-    ) -> Proposal:
-        """Return the model's draft or questions; see `ModelProposer.propose`."""
-        chat = AnthropicChat(_reach(self))
-        proposer = ModelProposer(chat, self.schema, self.read, self.check)
-        return proposer.propose(sentence, site, robot=robot, settled=settled)
+
+class AnthropicProposer(_ServerProposer, frozen=True, kw_only=True):
+    """A proposer behind a server that speaks the Messages protocol."""
+
+    speaks: ClassVar[Callable[[Reach], Chat]] = AnthropicChat
 
 
 class _Asked(Struct, frozen=True, forbid_unknown_fields=True):
@@ -208,16 +207,6 @@ class _Asked(Struct, frozen=True, forbid_unknown_fields=True):
     field: str
     question: str
     candidates: tuple[str, ...] = ()
-
-
-def _reach(proposer: OpenAIProposer | AnthropicProposer) -> Reach:
-    return Reach(
-        base_url=proposer.base_url,
-        model=proposer.model,
-        api_key_env=proposer.api_key_env,
-        timeout_s=proposer.timeout_s,
-        retries=proposer.retries,
-    )
 
 
 def _require_given(

@@ -9,29 +9,45 @@ Spec page: docs/spec/token.md#certificates
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import NameOID, ObjectIdentifier
 from msgspec import Struct
 
 from authguard_r.core.errors import AuthenticityError
-from authguard_r.core.identifiers import Digest, PrincipalId, RobotId, is_identifier
+from authguard_r.core.identifiers import Digest, PrincipalId, RegionId, RobotId, is_identifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.ed25519 import require_sound
+from authguard_r.core.token import Scope
+from authguard_r.keys.algorithms import (
+    PrivateKey,
+    PublicKey,
+    require_one_algorithm,
+    require_sound,
+)
+
+N = TypeVar("N", PrincipalId, RobotId, RegionId)
 
 #: An arc below 2.25 (a random UUID), which needs no registration.
 _ARC = "2.25.249240886789462354738743776298903117701"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _PRINCIPAL = "urn:authguard-r:principal:"
 _ROBOT = "urn:authguard-r:robot:"
+_REGION = "urn:authguard-r:region:"
+#: Said in so many words: a certificate that names no robot is for none.
+_EVERY_ROBOT = "urn:authguard-r:every-robot"
+_EVERY_REGION = "urn:authguard-r:every-region"
 _PROFILE = "urn:authguard-r:profile:"
+_TEMPLATE = "urn:authguard-r:template:"
+_THRESHOLD = "urn:authguard-r:threshold:"
+_MEMBER = "urn:authguard-r:member:"
 
 
 class Role(StrEnum):
@@ -44,6 +60,7 @@ class Role(StrEnum):
     GATE = "gate"
     ESTIMATOR = "estimator"
     WITNESS = "witness"
+    SCHEDULER = "scheduler"
 
 
 _OID: dict[Role, ObjectIdentifier] = {
@@ -63,22 +80,36 @@ class Leaf(Struct, frozen=True, kw_only=True):
     Args:
         principal: whose it is.
         role: what it may sign.
-        robot: for a gate or an estimator, the robot that it is bound to.
+        scope: the robots and regions that it may sign for.
         profile: for a gate, the digest of that robot's capability profile.
+        template: for a scheduler, the digest of the one mission template that it may fill.
+        threshold: how many members have to act together to sign with a group's key; 1 for a person.
+        members: the group's people; empty for a person.
         serial: its serial number, for revocation.
         authority_serial: its authority's serial number, for revocation.
+        root: place of the root that its chain leads to, among those that were given.
         key: its public key, checked.
         not_after_ms: the end of the shorter-lived of leaf and authority.
     """
 
     principal: PrincipalId
     role: Role
-    robot: RobotId | None
+    scope: Scope
     profile: Digest | None
+    template: Digest | None
+    threshold: int
+    members: frozenset[PrincipalId]
     serial: int
     authority_serial: int
-    key: Ed25519PublicKey
+    root: int
+    key: PublicKey
     not_after_ms: int
+
+    @property
+    def robot(self) -> RobotId | None:
+        """The one robot that it names; None when it names none, several or every one."""
+        robots = self.scope.robots or ()
+        return next(iter(robots)) if len(robots) == 1 else None
 
 
 class LeafClaims(Struct, frozen=True, kw_only=True):
@@ -93,7 +124,7 @@ class LeafClaims(Struct, frozen=True, kw_only=True):
     role: Role
 
 
-def build_root(key: Ed25519PrivateKey, *, name: str, now: datetime, days: int) -> x509.Certificate:
+def build_root(key: PrivateKey, *, name: str, now: datetime, days: int) -> x509.Certificate:
     """Return the self-signed root; `name` is what people see (a demo root says so)."""
     subject = _name(name)
     builder = _base(subject, subject, key.public_key(), now=now, days=days)
@@ -102,12 +133,12 @@ def build_root(key: Ed25519PrivateKey, *, name: str, now: datetime, days: int) -
 
 
 def build_authority(
-    public: Ed25519PublicKey,
+    public: PublicKey,
     *,
     name: str,
     roles: tuple[Role, ...],
     issuer: x509.Certificate,
-    key: Ed25519PrivateKey,
+    key: PrivateKey,
     now: datetime,
     days: int,
 ) -> x509.Certificate:
@@ -120,21 +151,44 @@ def build_authority(
 
 
 def build_leaf(
-    public: Ed25519PublicKey,
+    public: PublicKey,
     *,
     principal: str,
     role: Role,
     issuer: x509.Certificate,
-    key: Ed25519PrivateKey,
+    key: PrivateKey,
     now: datetime,
     days: int,
-    robot: str | None = None,
+    robots: tuple[str, ...] | None,
+    regions: tuple[str, ...] | None,
     profile: str | None = None,
+    template: str | None = None,
+    threshold: int = 1,
+    members: tuple[str, ...] = (),
 ) -> x509.Certificate:
-    """Return a leaf that binds the key to one principal in one role."""
+    """Return a leaf that binds the key to one principal in one role.
+
+    Args:
+        public: the principal's key.
+        principal: whose it is.
+        role: what it may sign.
+        issuer: its authority.
+        key: the authority's.
+        now: start of validity.
+        days: how long it is valid.
+        robots: those that it may sign for; None for every robot.
+        regions: where; None for every region.
+        profile: for a gate, the digest of its robot's capability profile.
+        template: for a scheduler, the digest of its template.
+        threshold: for a group's key, how many members sign together.
+        members: for a group's key, its people.
+    """
     names = [_PRINCIPAL + principal]
-    names += [_ROBOT + robot] if robot is not None else []
+    names += [_EVERY_ROBOT] if robots is None else [_ROBOT + robot for robot in robots]
+    names += [_EVERY_REGION] if regions is None else [_REGION + region for region in regions]
     names += [_PROFILE + profile] if profile is not None else []
+    names += [_TEMPLATE + template] if template is not None else []
+    names += [f"{_THRESHOLD}{threshold}", *(_MEMBER + name for name in members)] if members else []
     builder = _base(_name(principal), issuer.subject, public, now=now, days=days)
     builder = builder.add_extension(
         x509.BasicConstraints(ca=False, path_length=None), critical=True
@@ -161,10 +215,13 @@ def load(der: bytes, *, where: str) -> x509.Certificate:
     return certificate
 
 
-def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: Now) -> Leaf:
+def walk(
+    leaf_der: bytes, authority_der: bytes, *, roots: tuple[x509.Certificate, ...], now: Now
+) -> Leaf:
     """Return what the leaf says after walking root, authority, leaf.
 
-    Revocation is the caller's (`trust`), for it needs lists.
+    Which root, the authority's issuer says, and that root's signature shows. Revocation is the
+    caller's (`trust`), for it needs lists.
 
     Raises:
         AuthenticityError: `CERTIFICATE_INVALID`, `CERTIFICATE_EXPIRED` or `KEY_INVALID`.
@@ -172,24 +229,40 @@ def walk(leaf_der: bytes, authority_der: bytes, *, root: x509.Certificate, now: 
     authority = load(authority_der, where="certificate.authority")
     leaf = load(leaf_der, where="certificate.leaf")
     moment = _EPOCH + timedelta(milliseconds=now.utc_ms)
+    named = (n for n, root in enumerate(roots) if root.subject == authority.issuer)
+    number = next(named, 0)  # of no root that is here: the first one did not sign it either
+    root = roots[number]
     allowed = _require_authority(authority, root, moment)
     _require_issued(leaf, authority, where="certificate.leaf")
     extensions = _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
     _require_dates(leaf, moment, where="certificate.leaf")
     key = require_sound(_public_key(leaf, where="certificate.leaf"), where="certificate.leaf")
+    if len(roots) > 1:
+        require_one_algorithm(key, authority.public_key(), root.public_key())
     roles = _roles(extensions, where="certificate.leaf")
     if len(roles) != 1 or not roles <= allowed:
         raise _bad("expected one role that its authority may give", "certificate.leaf")
     uris = _uris(extensions)
-    robot, profile = _optional(uris, _ROBOT), _optional(uris, _PROFILE)
+    profile = _optional(uris, _PROFILE)
+    template, role = _optional(uris, _TEMPLATE), next(iter(roles))
+    if template is not None and role is not Role.SCHEDULER:
+        raise _bad("expected a template on a scheduler's certificate only", "certificate.leaf")
+    members = _named(uris, _MEMBER, PrincipalId)
     end = min(leaf.not_valid_after_utc, authority.not_valid_after_utc, root.not_valid_after_utc)
     return Leaf(
         principal=PrincipalId(_only(uris, _PRINCIPAL)),
-        role=next(iter(roles)),
-        robot=None if robot is None else RobotId(robot),
+        role=role,
+        scope=Scope(
+            robots=_confined(uris, _EVERY_ROBOT, _named(uris, _ROBOT, RobotId)),
+            regions=_confined(uris, _EVERY_REGION, _named(uris, _REGION, RegionId)),
+        ),
         profile=None if profile is None else Digest(profile),
+        template=None if template is None else Digest(template),
+        threshold=_threshold(uris, members),
+        members=members,
         serial=leaf.serial_number,
         authority_serial=authority.serial_number,
+        root=number,
         key=key,
         not_after_ms=int(end.timestamp()) * 1000,
     )
@@ -213,11 +286,6 @@ def read_claims(leaf_der: bytes) -> LeafClaims:
         raise _bad("expected one role", where)
     principal = PrincipalId(_only(_uris(extensions), _PRINCIPAL))
     return LeafClaims(principal=principal, role=next(iter(roles)))
-
-
-def is_demo(root: x509.Certificate) -> bool:
-    """True when the root says that it is for demonstration only."""
-    return "demo" in root.subject.rfc4514_string().lower()
 
 
 def _require_authority(
@@ -265,7 +333,7 @@ def _public_key(cert: x509.Certificate, *, where: str) -> object:
         return cert.public_key()
     except (ValueError, UnsupportedAlgorithm) as error:  # pragma: no cover - needs such an issuer
         raise AuthenticityError(
-            "expected an Ed25519 key", reason=Reason.KEY_INVALID, where=where
+            "expected a key of a known algorithm", reason=Reason.KEY_INVALID, where=where
         ) from error
 
 
@@ -309,6 +377,33 @@ def _optional(uris: list[str], prefix: str) -> str | None:
     return found[0] if found else None
 
 
+def _named(uris: list[str], prefix: str, kind: Callable[[str], N]) -> frozenset[N]:
+    """Return what is named one by one."""
+    found = [uri.removeprefix(prefix) for uri in uris if uri.startswith(prefix)]
+    if not all(map(is_identifier, found)):
+        raise _bad(f"expected names `{prefix}...` that are identifiers", "certificate.leaf")
+    return frozenset(map(kind, found))
+
+
+def _confined(uris: list[str], every: str, named: frozenset[N]) -> frozenset[N] | None:
+    """Return what is named, or None for all of them; both at once is nonsense."""
+    if every not in uris:
+        return named
+    if named:
+        raise _bad(f"expected `{every}` or names one by one, not both", "certificate.leaf")
+    return None
+
+
+def _threshold(uris: list[str], members: frozenset[PrincipalId]) -> int:
+    """Return how many of a group sign together; a person is no group."""
+    found = _optional(uris, _THRESHOLD)
+    if found is None and not members:
+        return 1
+    if found is None or not re.fullmatch("[1-9][0-9]?", found) or int(found) > len(members):
+        raise _bad("expected a group's members and how many of them sign", "certificate.leaf")
+    return int(found)
+
+
 def _name(common: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
 
@@ -328,7 +423,7 @@ def _usage(*, ca: bool) -> x509.KeyUsage:
 
 
 def _base(
-    subject: x509.Name, issuer: x509.Name, public: Ed25519PublicKey, *, now: datetime, days: int
+    subject: x509.Name, issuer: x509.Name, public: PublicKey, *, now: datetime, days: int
 ) -> x509.CertificateBuilder:
     start = now.astimezone(UTC).replace(microsecond=0)
     return (

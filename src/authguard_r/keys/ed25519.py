@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ed25519 keys, with the checks that the library leaves out.
+"""Ed25519 points, with the checks that the library leaves out.
 
 A key of low order verifies one signature for any message, and a non-canonical one gives a second
 name to the same point; both are refused wherever a key enters (L15).
@@ -8,7 +8,6 @@ Spec page: docs/spec/token.md#keys
 
 from __future__ import annotations
 
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from authguard_r.core.errors import AuthenticityError
@@ -30,44 +29,21 @@ def public_key(raw: bytes, *, where: str) -> Ed25519PublicKey:
     """
     if len(raw) != 32:
         raise _invalid(f"expected 32 bytes, got {len(raw)}", where)
-    _require_sound(raw, where=where)
+    require_sound_point(raw, where=where)
     return Ed25519PublicKey.from_public_bytes(raw)
 
 
-def _require_sound(raw: bytes, *, where: str) -> None:
+def require_sound_point(raw: bytes, *, where: str) -> None:
+    """Require that 32 bytes name a point that can be a key.
+
+    Raises:
+        AuthenticityError: not canonical, or of low order.
+    """
     y = int.from_bytes(raw, "little") & (2**255 - 1)
     if y >= _P:
         raise _invalid("expected a canonical key", where)
     if y in _LOW_ORDER:
         raise _invalid("expected a key that is not of low order", where)
-
-
-def require_sound(key: object, *, where: str) -> Ed25519PublicKey:
-    """Return `key` as an Ed25519 key that passes the checks of `public_key`.
-
-    Raises:
-        AuthenticityError: another algorithm, or an unsound key.
-    """
-    if not isinstance(key, Ed25519PublicKey):
-        raise _invalid(f"expected an Ed25519 key, got {type(key).__name__}", where)
-    _require_sound(key.public_bytes_raw(), where=where)
-    return key
-
-
-def require_signature(
-    key: Ed25519PublicKey, signature: bytes, message: bytes, *, where: str
-) -> None:
-    """Return when the signature holds.
-
-    Raises:
-        AuthenticityError: with `SIGNATURE_INVALID` when it does not.
-    """
-    try:
-        key.verify(signature, message)
-    except InvalidSignature as error:
-        raise AuthenticityError(
-            "the signature does not hold", reason=Reason.SIGNATURE_INVALID, where=where
-        ) from error
 
 
 def _invalid(message: str, where: str) -> AuthenticityError:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import re
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from msgspec import Struct
 
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, Identifier, Timestamp
 from authguard_r.core.quantities import to_ms
-from authguard_r.keys.ed25519 import require_signature
+from authguard_r.keys.algorithms import PrivateKey, PublicKey, require_signature
 
 _SERIAL = re.compile(r"[1-9][0-9]{0,48}")
 
@@ -47,14 +46,26 @@ class SignedRevocation(Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class RevocationList(Struct, frozen=True, kw_only=True):
-    """An authentic list, ready for look-up."""
+    """An authentic list, ready for look-up.
+
+    Args:
+        number: grows with each list.
+        next_update_ms: after this it is stale.
+        serials: of the dead certificates.
+        issued_ms: when it was signed.
+        authority: the name that it says it is of.
+        signed: the very bytes, to be handed on or kept.
+    """
 
     number: int
     next_update_ms: int
     serials: frozenset[int]
+    issued_ms: int = 0
+    authority: str = ""
+    signed: bytes = b""
 
 
-def sign_list(revocation: Revocation, key: Ed25519PrivateKey) -> bytes:
+def sign_list(revocation: Revocation, key: PrivateKey) -> bytes:
     """Return the signed list as a file's bytes."""
     payload = encode(revocation)
     signature = key.sign(unb64(digest(Tag.REVOCATION, payload)))
@@ -68,7 +79,7 @@ def _are_serials(texts: tuple[str, ...]) -> bool:
     return plain and list(texts) == sorted(set(texts))
 
 
-def read_list(data: bytes, *, authority: str, key: Ed25519PublicKey) -> RevocationList:
+def read_list(data: bytes, *, authority: str, key: PublicKey) -> RevocationList:
     """Return the list once its authority's signature over it holds.
 
     Raises:
@@ -87,4 +98,18 @@ def read_list(data: bytes, *, authority: str, key: Ed25519PublicKey) -> Revocati
         number=revocation.number,
         next_update_ms=to_ms(revocation.next_update, where=where),
         serials=frozenset(int(serial) for serial in revocation.serials),
+        issued_ms=to_ms(revocation.issued, where=where),
+        authority=authority,
+        signed=data,
     )
+
+
+def claimed_authority(data: bytes) -> str:
+    """Return the name of the authority that a list says it is of; nobody has vouched for it.
+
+    Raises:
+        MalformedError: it is no canonical list.
+    """
+    where = "revocations"
+    signed = decode(data.removesuffix(b"\n"), SignedRevocation, where=where)
+    return decode(unb64(signed.payload, where=where), Revocation, where=where).authority

@@ -12,11 +12,12 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     NoEncryption,
     PrivateFormat,
+    load_pem_private_key,
 )
 from msgspec import Struct
 
@@ -24,42 +25,80 @@ from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import is_identifier
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.algorithms import (
+    Algorithm,
+    PrivateKey,
+    algorithm_of,
+    generate,
+    require_private,
+)
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.revocation import Revocation, sign_list
 
+#: What the files of the second root, and of everything under it, are told apart by.
+SUFFIXES = ("", "-2")
+#: What the root of a set-up for trying things out is called.
+DEMO = "AuthGuard-R demo root"
 AUTHORITIES: dict[str, tuple[Role, ...]] = {
-    "people": (Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER),
+    # a scheduler picks among missions that an operator signed: who names operators names it
+    "people": (Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER, Role.SCHEDULER),
     "site": (Role.SITE_AUTHORITY,),
     "machines": (Role.GATE, Role.ESTIMATOR, Role.WITNESS),
 }
 
 
 class Member(Struct, frozen=True, kw_only=True):
-    """One principal of a set-up; gates and estimators name their robot."""
+    """One principal of a set-up.
+
+    Args:
+        id: its name.
+        role: what it may sign.
+        robots: those that it may sign for, a machine's own among them; None for every robot.
+        regions: where; None for every region.
+        profile: for a gate, the digest of its robot's capability profile.
+        template: for a scheduler, the digest of its template.
+    """
 
     id: str
     role: Role
-    robot: str | None = None
+    robots: tuple[str, ...] | None = ()
+    regions: tuple[str, ...] | None = ()
     profile: str | None = None
+    template: str | None = None
 
 
 class Issued(Struct, frozen=True):
     """A certificate authority while a set-up is made."""
 
-    key: Ed25519PrivateKey
+    key: PrivateKey
     certificate: x509.Certificate
 
 
+#: Authorities by name, one such table for each algorithm that has to sign.
+Authorities = dict[str, Issued]
+
+
 def init_folder(
-    folder: Path, members: tuple[Member, ...], *, now: datetime, days: int = 365
+    folder: Path,
+    members: tuple[Member, ...],
+    *,
+    now: datetime,
+    days: int = 365,
+    algorithms: tuple[Algorithm, ...] = (Algorithm.ED25519,),
+    title: str = DEMO,
+    authorities: tuple[str, ...] = tuple(AUTHORITIES),
 ) -> None:
-    """Write root, role authorities, revocation lists and every member's key and certificate.
+    """Write roots, role authorities, revocation lists and every member's keys and certificates.
 
     Args:
         folder: must not exist or be empty.
         members: who gets a key.
         now: start of validity; a day earlier is written, so that a clock a little behind works.
         days: how long everything is valid.
+        algorithms: one, or two that both have to sign everything (`hybrid`).
+        title: the root's name; one that says `demo` is for demonstration only.
+        authorities: which of them to certify.
 
     Raises:
         EnvironmentFault: the folder holds something already; nothing was written.
@@ -71,27 +110,42 @@ def init_folder(
             where=str(folder),
         )
     _require_names(members, folder)
-    start = now - timedelta(days=1)
-    root_key = Ed25519PrivateKey.generate()
-    root = build_root(root_key, name="AuthGuard-R demo root", now=start, days=days)
     for name in ("authorities", "keys", "revocations"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "keys").chmod(0o700)
-    (folder / "root.pem").write_bytes(root.public_bytes(Encoding.PEM))
-    _write_key(folder / "keys" / "root.key.pem", root_key)
-    write_revocations(folder, "root", root_key, serials=(), now=now, number=1, days=days - 1)
-    authorities = {
-        name: _authority(folder, name, roles, root=Issued(root_key, root), now=now, days=days)
-        for name, roles in AUTHORITIES.items()
-    }
+    lines: list[Authorities] = []
+    roots = b""
+    for suffix, algorithm in zip(SUFFIXES, algorithms, strict=False):
+        root = _root(folder, suffix, algorithm, title=title, now=now, days=days)
+        roots += root.certificate.public_bytes(Encoding.PEM)
+        lines.append(
+            {
+                name: _authority(
+                    folder, name + suffix, AUTHORITIES[name], root=root, now=now, days=days
+                )
+                for name in authorities
+            }
+        )
+    (folder / "root.pem").write_bytes(roots)
     for member in members:
-        issue_member(folder, member, authorities, now=start, days=days)
+        issue_member(folder, member, lines, now=now - timedelta(days=1), days=days)
+
+
+def _root(
+    folder: Path, suffix: str, algorithm: Algorithm, *, title: str, now: datetime, days: int
+) -> Issued:
+    key = generate(algorithm)
+    name = f"{title}{suffix and f' {algorithm}'}"
+    root = build_root(key, name=name, now=now - timedelta(days=1), days=days)
+    write_keys(folder / "keys" / f"root{suffix}.key.pem", key)
+    write_revocations(folder, f"root{suffix}", key, serials=(), now=now, number=1, days=days - 1)
+    return Issued(key, root)
 
 
 def _require_names(members: tuple[Member, ...], folder: Path) -> None:
     """Refuse names that are no identifiers, come twice, or are an authority's, before writing."""
     names = [member.id for member in members]
-    reserved = {"root", *AUTHORITIES}
+    reserved = {name + suffix for name in ("root", *AUTHORITIES) for suffix in SUFFIXES}
     if not all(map(is_identifier, names)) or len({*names, *reserved}) != len(names) + len(reserved):
         raise EnvironmentFault(
             "expected distinct identifiers that no authority has",
@@ -101,31 +155,108 @@ def _require_names(members: tuple[Member, ...], folder: Path) -> None:
 
 
 def issue_member(
-    folder: Path, member: Member, authorities: dict[str, Issued], *, now: datetime, days: int
+    folder: Path, member: Member, lines: list[Authorities], *, now: datetime, days: int
 ) -> None:
-    """Write one member's key and its certificate chain."""
-    issuer = next(authorities[name] for name, roles in AUTHORITIES.items() if member.role in roles)
-    key = Ed25519PrivateKey.generate()
-    leaf = build_leaf(
-        key.public_key(),
-        principal=member.id,
-        role=member.role,
-        issuer=issuer.certificate,
-        key=issuer.key,
-        now=now,
-        days=days,
-        robot=member.robot,
-        profile=member.profile,
+    """Write one member's keys and certificate chains, one of each algorithm."""
+    keys: list[PrivateKey] = []
+    chains = b""
+    for authorities in lines:
+        issuer = authorities[authority_of(member.role)]
+        keys.append(generate(algorithm_of(issuer.key)))
+        leaf = build_leaf(
+            keys[-1].public_key(),
+            principal=member.id,
+            role=member.role,
+            issuer=issuer.certificate,
+            key=issuer.key,
+            now=now,
+            days=days,
+            robots=member.robots,
+            regions=member.regions,
+            profile=member.profile,
+            template=member.template,
+        )
+        chains += leaf.public_bytes(Encoding.PEM)
+        chains += issuer.certificate.public_bytes(Encoding.PEM)
+    (folder / "keys" / f"{member.id}.cert.pem").write_bytes(chains)
+    write_keys(folder / "keys" / f"{member.id}.key.pem", *keys)
+
+
+def authority_of(role: Role) -> str:
+    """Return the name of the authority that gives a role."""
+    return next(name for name, roles in AUTHORITIES.items() if role in roles)
+
+
+def add_member(folder: Path, member: Member, *, now: datetime, days: int) -> None:
+    """Write one more member's key and chain into a set-up that holds its authorities' keys.
+
+    Args:
+        folder: as `init_folder` wrote it.
+        member: a name that the folder does not have.
+        now: start of validity.
+        days: how long the certificate is valid; its authority's end comes first.
+
+    Raises:
+        EnvironmentFault: the name is no new identifier, or the authority's key is not here;
+            nothing was written.
+        AuthenticityError: the authority's key is of no known algorithm; nothing was written.
+    """
+    name = authority_of(member.role)
+    reserved = {held + suffix for held in ("root", *AUTHORITIES) for suffix in SUFFIXES}
+    taken = reserved | {p.name.split(".")[0] for p in folder.glob("keys/*.pem")}
+    if member.id in taken or not is_identifier(member.id) or "." in member.id:
+        raise EnvironmentFault(
+            f"expected a new identifier without a dot, got `{member.id}`",
+            reason=Reason.SCHEMA_INVALID,
+            where=str(folder),
+        )
+    here = [s for s in SUFFIXES if not s or (folder / "authorities" / f"{name}{s}.pem").exists()]
+    lines = [{name: read_authority(folder, name + suffix)} for suffix in here]
+    issue_member(folder, member, lines, now=now, days=days)
+
+
+def read_authority(folder: Path, name: str) -> Issued:
+    """Return an authority's key and certificate from a set-up that holds both.
+
+    Raises:
+        EnvironmentFault: one of them is not here, or cannot be read.
+        AuthenticityError: its key is of no known algorithm.
+    """
+    key = read_key(folder, name)
+    try:
+        pem = (folder / "authorities" / f"{name}.pem").read_bytes()
+        return Issued(key, x509.load_pem_x509_certificate(pem))
+    except (OSError, ValueError) as error:
+        raise _without(folder, name) from error
+
+
+def read_key(folder: Path, name: str) -> PrivateKey:
+    """Return an authority's or a root's private key from a set-up that holds it.
+
+    Raises:
+        EnvironmentFault: it is not here, or cannot be read.
+        AuthenticityError: it is of no known algorithm.
+    """
+    try:
+        data = (folder / "keys" / f"{name}.key.pem").read_bytes()
+        key = load_pem_private_key(data, None)
+    except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise _without(folder, name) from error
+    return require_private(key, where=f"keys/{name}.key.pem")
+
+
+def _without(folder: Path, name: str) -> EnvironmentFault:
+    return EnvironmentFault(
+        f"`{folder}` holds no usable key of the `{name}` authority",
+        reason=Reason.STORE_UNAVAILABLE,
+        where=str(folder),
     )
-    chain = leaf.public_bytes(Encoding.PEM) + issuer.certificate.public_bytes(Encoding.PEM)
-    (folder / "keys" / f"{member.id}.cert.pem").write_bytes(chain)
-    _write_key(folder / "keys" / f"{member.id}.key.pem", key)
 
 
 def write_revocations(
     folder: Path,
     authority: str,
-    key: Ed25519PrivateKey,
+    key: PrivateKey,
     *,
     serials: tuple[int, ...],
     now: datetime,
@@ -140,13 +271,13 @@ def write_revocations(
         next_update=to_timestamp(int((now + timedelta(days=days)).timestamp()) * 1000),
         serials=tuple(sorted(str(serial) for serial in serials)),
     )
-    (folder / "revocations" / f"{authority}.json").write_bytes(sign_list(revocation, key))
+    write_whole(folder / "revocations" / f"{authority}.json", sign_list(revocation, key))
 
 
 def _authority(
     folder: Path, name: str, roles: tuple[Role, ...], *, root: Issued, now: datetime, days: int
 ) -> Issued:
-    key = Ed25519PrivateKey.generate()
+    key = generate(algorithm_of(root.key))
     certificate = build_authority(
         key.public_key(),
         name=f"AuthGuard-R {name} authority",
@@ -157,12 +288,14 @@ def _authority(
         days=days,
     )
     (folder / "authorities" / f"{name}.pem").write_bytes(certificate.public_bytes(Encoding.PEM))
-    _write_key(folder / "keys" / f"{name}.key.pem", key)
+    write_keys(folder / "keys" / f"{name}.key.pem", key)
     write_revocations(folder, name, key, serials=(), now=now, number=1, days=days - 1)
     return Issued(key, certificate)
 
 
-def _write_key(path: Path, key: Ed25519PrivateKey) -> None:
-    """Write the key readable by its owner alone, from the first byte on."""
+def write_keys(path: Path, *keys: PrivateKey) -> None:
+    """Write the keys readable by their owner alone, from the first byte on."""
     path.touch(mode=0o600, exist_ok=False)
-    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    path.write_bytes(
+        b"".join(k.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()) for k in keys)
+    )

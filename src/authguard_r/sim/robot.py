@@ -2,14 +2,13 @@
 """The symbolic robot: a controller, an estimator and a clock that share one simulated time.
 
 Implements `core.ports.Controller`, `StateSource` and `Clock`. Time passes only when somebody
-pauses, so a run of minutes takes milliseconds and is the same every time. Faults are injected, not
-guessed: drift off the way, a failed grasp, an estimator that stopped looking.
+pauses, so a run of minutes takes milliseconds and is the same every time; a process that pauses as
+real time passes has a robot in real time. Faults are injected, not guessed: drift off the way, a
+failed grasp, an estimator that stopped looking.
 How-to: docs/howto/simulator.md
 """
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import msgspec
 from msgspec import Struct
@@ -17,17 +16,29 @@ from msgspec import Struct
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import ControllerError
-from authguard_r.core.identifiers import Identifier, RegionId, RobotId, VariableId
+from authguard_r.core.identifiers import RegionId, RobotId
 from authguard_r.core.lease import Lease
 from authguard_r.core.ports import Signer
-from authguard_r.core.provenance import Label
 from authguard_r.core.standing import Outcome, Spend
-from authguard_r.core.state import Pose, Reading, Snapshot
+from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
+from authguard_r.sim.motion import (
+    Brake,
+    Velocity,
+    along,
+    asked_velocity,
+    drifted,
+    scaled,
+    speed_after,
+    straight_way,
+    way_um,
+)
+from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import (
     DRIVEN,
-    NOTHING,
+    DURATION,
+    FULL_TURN_URAD,
     Point,
     delta,
     duration_ms,
@@ -40,7 +51,6 @@ from authguard_r.site.model import Site
 
 #: The estimator looks this often, in milliseconds.
 ESTIMATE_MS = 50
-MARGIN_MM = 150
 
 
 class Faults(Struct, frozen=True, kw_only=True):
@@ -53,6 +63,8 @@ class Faults(Struct, frozen=True, kw_only=True):
         estimator_dies_ms: after this much simulated time no snapshot comes any more.
         controller_refuses: a command is not begun.
         overspeed_permille: real speed, in thousandths of what was asked for.
+        ignores_stops: the controller's process carries out no stop, not even its own.
+        answers_late_ms: the controller's process answers that much later.
     """
 
     drift_to: RegionId | None = None
@@ -61,6 +73,8 @@ class Faults(Struct, frozen=True, kw_only=True):
     estimator_dies_ms: int | None = None
     controller_refuses: bool = False
     overspeed_permille: int = 1_000
+    ignores_stops: bool = False
+    answers_late_ms: int = 0
 
 
 class Executed(Struct, frozen=True, kw_only=True):
@@ -102,7 +116,8 @@ class SymbolicRobot:
         site: the world's shape.
         rid: who the robot is.
         state: where everything is at first.
-        estimator: signs snapshots; a person's machine would keep this key elsewhere.
+        estimator: signs snapshots; a person's machine would keep this key elsewhere. None where
+            another process signs them: then `latest` says nothing, and `sensed` what is seen.
         start_ms: simulated wall clock at the start, milliseconds since 1970.
         faults: what goes wrong.
         epoch: the estimator's start counter.
@@ -114,7 +129,7 @@ class SymbolicRobot:
         rid: RobotId,
         state: WorldState,
         *,
-        estimator: Signer,
+        estimator: Signer | None,
         start_ms: int,
         faults: Faults = Faults(),  # noqa: B008 - frozen
         epoch: int = 1,
@@ -132,8 +147,11 @@ class SymbolicRobot:
         self._seq = 0
         self._flight: SimFlight | None = None
         self._path: tuple[Point, ...] = ()
-        self._path_done_mm = 0
+        self._path_done_um = 0
         self._left_ms = 0
+        self._brake: Brake | None = None
+        self._velocity: Velocity | None = None
+        self._rest_um: Point = (0, 0)
         self._token: bytes | None = None
         self._snapshot: Snapshot | None = None
         self._seen_ms = 0
@@ -164,9 +182,16 @@ class SymbolicRobot:
 
     def latest(self) -> bytes | None:
         """Return the newest snapshot, signed when somebody asks for it."""
-        if self._token is None and self._snapshot is not None:
+        if self._token is None and self._snapshot is not None and self._estimator is not None:
             self._token = sign_object(self._snapshot, Tag.STATE, self._estimator)
         return self._token
+
+    def sensed(self) -> Snapshot | None:
+        """Return what the sensors see right now, signed by nobody; None when they are silent."""
+        dies = self.faults.estimator_dies_ms
+        if dies is not None and self.elapsed_ms >= dies:
+            return None
+        return self._seen(epoch=0, seq=0)
 
     # Controller
 
@@ -176,26 +201,69 @@ class SymbolicRobot:
         Raises:
             ControllerError: it cannot be begun.
         """
-        if self.faults.controller_refuses:
-            raise ControllerError("the controller does not answer")
-        if self._flight is not None and self._flight.ended is None:
-            raise ControllerError("another action runs")
+        return self.begin(action)
+
+    def begin(self, action: Action) -> SimFlight:
+        """Begin an action that leads where its way leads, to its end.
+
+        Raises:
+            ControllerError: it cannot be begun.
+        """
+        self._require_idle()
         took = duration_ms(self.site, self.state, action)
         if took is None:
             raise ControllerError("the action cannot be carried out from here")
-        flight = SimFlight(self, action)
-        self._flight, self._left_ms = flight, took
+        flight = self._fly(action, took)
         self._path = plan_path(self.site, self.state, self._steered(action)) or ()
-        self._path_done_mm = 0
-        self.trace.append(
-            Executed(action=action, before=self.state, utc_ms=self.wall_ms(), outcome=None)
-        )
         if took == 0:
             self._finish(flight)
         return flight
 
+    def begin_stream(self, action: Action) -> SimFlight:
+        """Begin to move by a velocity, which `steer` changes, for as long as the action says.
+
+        It leads where it leads; a wall is the end of it.
+
+        Raises:
+            ControllerError: it cannot be begun.
+        """
+        self._require_idle()
+        flight = self._fly(action, action.params.get(DURATION, 0))
+        self._rest_um = (0, 0)
+        self.steer(asked_velocity(action.params))
+        return flight
+
+    def steer(self, velocity: Velocity) -> None:
+        """Change the velocity of the stream that runs; brakes that act are not let go for it."""
+        if self._brake is None:
+            self._velocity = scaled(velocity, self.faults.overspeed_permille)
+            self._be_at((self.state.x_mm, self.state.y_mm), self._velocity.speed_mm_s)
+
+    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+        """Brake as the profile says: the action has ended once the robot stands.
+
+        A robot whose profile does not say how it brakes stands at once.
+        """
+        flight, rate = self._flight, self.site.robots[self.rid].profile.brake_mm_s2
+        if flight is None or flight.ended is not None or self._brake is not None:
+            return
+        speed = self.state.speed_mm_s
+        if rate is None or speed == 0:
+            self._end(flight, outcome)
+            return
+        brake = Brake(
+            speed_mm_s=speed,
+            brake_mm_s2=rate,
+            since_ms=self.elapsed_ms,
+            done_um=self._path_done_um,  # a stream has no way behind it
+            outcome=outcome,
+        )
+        if self._velocity is not None:
+            self._path = straight_way(self.state, self._velocity, brake)
+        self._brake = brake
+
     def stop(self) -> None:
-        """Brake and hold."""
+        """Stand and hold, at once: for a run in simulated time, whose gate waits for no brakes."""
         self.stops += 1
         flight = self._flight
         if flight is not None and flight.ended is None:
@@ -203,6 +271,20 @@ class SymbolicRobot:
         self._flight = None
         self.state = msgspec.structs.replace(self.state, speed_mm_s=0)
         self._observe()
+
+    def _require_idle(self) -> None:
+        if self.faults.controller_refuses:
+            raise ControllerError("the controller does not answer")
+        if self._flight is not None and self._flight.ended is None:
+            raise ControllerError("another action runs")
+
+    def _fly(self, action: Action, took_ms: int) -> SimFlight:
+        self._flight = SimFlight(self, action)
+        self._left_ms, self._path_done_um, self._velocity = took_ms, 0, None
+        self.trace.append(
+            Executed(action=action, before=self.state, utc_ms=self.wall_ms(), outcome=None)
+        )
+        return self._flight
 
     # the world
 
@@ -216,25 +298,65 @@ class SymbolicRobot:
         flight = self._flight
         if flight is None or flight.ended is not None:
             return
-        self._left_ms -= tick_ms
-        if flight.action.type in DRIVEN:
-            self._drive(flight, tick_ms)
+        if self._brake is not None:
+            self._slow_down(flight, self._brake, tick_ms)
             return
-        if flight.action.type == "wait":
-            flight.waited_ms += tick_ms
-        if self._left_ms <= 0:
-            self._finish(flight)
+        self._left_ms -= tick_ms
+        if self._velocity is not None:
+            self._drift(flight, self._velocity, tick_ms)
+        elif flight.action.type in DRIVEN:
+            self._drive(flight, tick_ms)
+        else:
+            flight.waited_ms += tick_ms if flight.action.type == "wait" else 0
+            if self._left_ms <= 0:
+                self._finish(flight)
 
     def _drive(self, flight: SimFlight, tick_ms: int) -> None:
         speed = speed_of(flight.action) * self.faults.overspeed_permille // 1_000
         flight.moved_ms += tick_ms
-        self._path_done_mm += speed * tick_ms // 1_000
+        self._path_done_um += speed * tick_ms
         timed = flight.action.type == "drive"
-        if self._left_ms <= 0 if timed else self._path_done_mm >= path_length_mm(self._path):
+        if self._left_ms <= 0 if timed else self._is_at_the_end(self._path_done_um):
             self._finish(flight)
             return
-        x, y = _along(self._path, self._path_done_mm)
-        self.state = msgspec.structs.replace(self.state, x_mm=x, y_mm=y, speed_mm_s=speed)
+        self._be_at(along(self._path, self._path_done_um // 1_000), speed)
+
+    def _drift(self, flight: SimFlight, velocity: Velocity, tick_ms: int) -> None:
+        """Move by a velocity; what is left below a millimeter is kept for the next tick."""
+        flight.moved_ms += tick_ms
+        there, self._rest_um = drifted(self.state, velocity, self._rest_um, tick_ms)
+        turned = velocity.turn_urad_s * tick_ms // 1_000
+        heading = (self.state.heading_urad + turned) % FULL_TURN_URAD
+        self.state = msgspec.structs.replace(self.state, heading_urad=heading)
+        if not self._is_there_room(there):
+            self._end(flight, Outcome.FAILED)
+            return
+        self._be_at(there, velocity.speed_mm_s)
+        if self._left_ms <= 0:
+            self._end(flight, Outcome.SUCCEEDED)
+
+    def _slow_down(self, flight: SimFlight, brake: Brake, tick_ms: int) -> None:
+        flight.moved_ms += tick_ms
+        passed = self.elapsed_ms - brake.since_ms
+        done, speed = brake.done_um + way_um(brake, passed), speed_after(brake, passed)
+        there = along(self._path, done // 1_000)
+        stuck = self._velocity is not None and not self._is_there_room(there)
+        if not stuck:
+            self._be_at(there, speed)
+        if stuck or speed == 0 or (self._velocity is None and self._is_at_the_end(done)):
+            self._end(flight, brake.outcome)
+
+    def _be_at(self, point: Point, speed_mm_s: int) -> None:
+        self.state = msgspec.structs.replace(
+            self.state, x_mm=point[0], y_mm=point[1], speed_mm_s=speed_mm_s
+        )
+
+    def _is_at_the_end(self, done_um: int) -> bool:
+        return done_um // 1_000 >= path_length_mm(self._path)
+
+    def _is_there_room(self, point: Point) -> bool:
+        """True when the point is in a region: outside all of them there are walls."""
+        return region_at(self.site, self.state, point) is not None
 
     def _finish(self, flight: SimFlight) -> None:
         action = self._steered(flight.action)
@@ -251,6 +373,7 @@ class SymbolicRobot:
 
     def _end(self, flight: SimFlight, outcome: Outcome) -> None:
         flight.ended = outcome
+        self._brake = None
         self.trace[-1] = msgspec.structs.replace(self.trace[-1], outcome=outcome)
         region = self._region_here()
         self.state = msgspec.structs.replace(self.state, region=region, speed_mm_s=0)
@@ -263,64 +386,24 @@ class SymbolicRobot:
 
     def _observe(self) -> None:
         """Sign what the sensors see, unless the estimator is dead."""
-        dies, stops = self.faults.estimator_dies_ms, self.faults.localization_stops_ms
+        dies = self.faults.estimator_dies_ms
         if dies is not None and self.elapsed_ms >= dies:
             return
-        lost = stops is not None and self.elapsed_ms >= stops
-        if not lost:
-            self._seen_ms = self.elapsed_ms
         self._seq += 1
         self._token = None
-        self._snapshot = snapshot_of(
+        self._snapshot = self._seen(epoch=self._epoch, seq=self._seq)
+
+    def _seen(self, *, epoch: int, seq: int) -> Snapshot:
+        stops = self.faults.localization_stops_ms
+        if stops is None or self.elapsed_ms < stops:
+            self._seen_ms = self.elapsed_ms
+        return snapshot_of(
             self.state,
             robot=self.rid,
-            epoch=self._epoch,
-            seq=self._seq,
+            epoch=epoch,
+            seq=seq,
             pose_age_ms=self.elapsed_ms - self._seen_ms,
         )
 
 
-def snapshot_of(
-    state: WorldState, *, robot: RobotId, epoch: int, seq: int, pose_age_ms: int = 0
-) -> Snapshot:
-    """Return what an estimator says of the world."""
-    values: dict[str, int | bool | Identifier] = {
-        "battery_permille": state.battery_permille,
-        "holding": state.holding or NOTHING,
-        "human_distance_mm": state.human_distance_mm,
-        "speed_mm_s": state.speed_mm_s,
-        **{str(name): is_open for name, is_open in state.doors.items()},
-        **{f"{thing}.{c}": True for thing, held in state.things.items() for c in held},
-    }
-    return Snapshot(
-        robot=robot,
-        epoch=epoch,
-        seq=seq,
-        pose=Pose(
-            map=state.map,
-            floor=state.floor,
-            x_mm=state.x_mm,
-            y_mm=state.y_mm,
-            margin_mm=MARGIN_MM,
-            label=Label.TRUSTED_SENSOR,
-            age_ms=pose_age_ms,
-        ),
-        readings={
-            VariableId(name): Reading(value=value, label=Label.TRUSTED_SENSOR, age_ms=0)
-            for name, value in sorted(values.items())
-        },
-    )
-
-
-def _along(path: tuple[Point, ...], done_mm: int) -> Point:
-    """Return the point `done_mm` along the way."""
-    left = done_mm
-    for a, b in pairwise(path):
-        length = path_length_mm((a, b))
-        if left < length:
-            return (
-                a[0] + (b[0] - a[0]) * left // length,
-                a[1] + (b[1] - a[1]) * left // length,
-            )
-        left -= length
-    return path[-1]
+__all__ = ["Executed", "Faults", "SimFlight", "SymbolicRobot", "snapshot_of"]

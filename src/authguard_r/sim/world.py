@@ -16,7 +16,7 @@ import msgspec
 
 from authguard_r.core.action import Action
 from authguard_r.core.geometry import may_lie_in, polygon
-from authguard_r.core.identifiers import ParameterId, RegionId
+from authguard_r.core.identifiers import ObjectId, ParameterId, RegionId
 from authguard_r.sim.effects import effect, recorded
 from authguard_r.sim.state import WorldState
 from authguard_r.site.model import Door, Site
@@ -62,6 +62,12 @@ def initial_state(site: Site, home: RegionId, *, battery_permille: int = 870) ->
         speed_mm_s=0,
         human_distance_mm=5_000,
     )
+
+
+def taken(state: WorldState, item: ObjectId) -> WorldState:
+    """Return the world with a thing in the gripper, wherever it lay."""
+    places = {thing: place for thing, place in state.places.items() if thing != item}
+    return msgspec.structs.replace(state, holding=item, places=places)
 
 
 def delta(site: Site, state: WorldState, action: Action) -> WorldState | None:
@@ -202,8 +208,7 @@ def _picked(state: WorldState, action: Action) -> WorldState | None:
     item = action.object
     if item is None or state.holding is not None or state.places.get(item) != state.region:
         return None
-    places = {thing: place for thing, place in state.places.items() if thing != item}
-    return msgspec.structs.replace(state, holding=item, places=places)
+    return taken(state, item)
 
 
 def _placed(state: WorldState, action: Action) -> WorldState | None:

@@ -21,7 +21,7 @@ from authguard_r.core.facts import (
     RobotFacts,
     SiteFacts,
 )
-from authguard_r.core.geometry import polygon, stopping_margin
+from authguard_r.core.geometry import polygon
 from authguard_r.core.identifiers import (
     ActionType,
     Count,
@@ -39,6 +39,7 @@ from authguard_r.core.identifiers import (
 )
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
+from authguard_r.site.paths import stopping_margin
 
 Point = tuple[Integer, Integer]
 
@@ -283,7 +284,8 @@ def facts_of(site: Site, *, rid: RobotId, profile: Digest) -> SiteFacts:
     robot = site.robots.get(rid)
     if robot is None or profile_digest(robot.profile) != profile:
         raise EnvironmentFault(
-            f"the site `{site.id}` has no robot `{rid}` with the profile of its certificate",
+            f"the site `{site.id}` has no robot `{rid}` with the profile of its certificate; "
+            "a robot whose profile changed needs a new certificate",
             reason=Reason.PROFILE_MISMATCH,
             where=f"robots.{rid}",
         )

@@ -12,7 +12,7 @@ from enum import IntEnum
 from fractions import Fraction
 from itertools import pairwise
 
-from authguard_r.core.geometry import Point, side
+from authguard_r.core.geometry import Point
 
 Points = tuple[Point, ...]
 Edge = tuple[Point, Point]
@@ -31,6 +31,12 @@ class Side(IntEnum):
 def edges_of(points: Points) -> list[Edge]:
     """Return the polygon's edges in order, the closing one last."""
     return list(zip(points, points[1:] + points[:1], strict=True))
+
+
+def side(a: Point, b: Point, point: Point) -> int:
+    """Return 1, 0 or -1: left of, on, or right of the line from `a` to `b`."""
+    cross = (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])
+    return (cross > 0) - (cross < 0)
 
 
 def doubled_area(points: Points) -> int:

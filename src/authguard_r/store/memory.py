@@ -23,6 +23,7 @@ class _MemoryTurn:
 
     def __init__(self, held: dict[tuple[str, str], bytes], rows: list[Row]) -> None:
         self._held = held
+        self._rows = rows
         self._size = len(rows)
         self._link = rows[-1].link if rows else GENESIS
         self.puts: dict[tuple[str, str], bytes] = {}
@@ -47,6 +48,11 @@ class _MemoryTurn:
         self._size, self._link = row.seq + 1, link
         return row.seq
 
+    def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
+        """Return rows of the log, with those of this turn."""
+        every = [*self._rows, *self.appends][max(first, 0) : max(first + count, 0)]
+        return tuple((row.seq, row.record, row.sealed, row.link) for row in every)
+
 
 class MemoryStore:
     """Registry and log in this process's memory (`core.ports.Store`)."""
@@ -57,8 +63,8 @@ class MemoryStore:
         self._lock = threading.Lock()
         self._closed = False
 
-    def run(self, job: Callable[[Turn], T]) -> T:
-        """Run the job alone; its effects are there when it returned.
+    def run(self, job: Callable[[Turn], T], *, essential: bool = False) -> T:  # noqa: ARG002
+        """Run the job alone; its effects are there when it returned. No disk to be full.
 
         Raises:
             StoreError: the store was closed.
@@ -71,6 +77,21 @@ class MemoryStore:
             self._held.update(turn.puts)
             self._rows += turn.appends
             return result
+
+    def read(self, job: Callable[[Turn], T]) -> T:
+        """Return what a job reads; what it puts or appends is dropped.
+
+        Raises:
+            StoreError: the store was closed.
+        """
+        with self._lock:
+            if self._closed:
+                raise StoreError("the store is closed", where="store")
+            return job(_MemoryTurn(self._held, self._rows))
+
+    def restore(self) -> bool:
+        """Return True: there is no disk."""
+        return True
 
     def close(self) -> None:
         """Refuse everything from now on."""

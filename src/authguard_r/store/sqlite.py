@@ -3,7 +3,8 @@
 
 NORMAL would lose acknowledged commits in a power cut (L17). Whoever gets the lock first commits
 for everybody who waits: one fsync for the whole batch, no thread of our own, and a lone caller
-pays for nothing but its own transaction. Spec page: docs/spec/store.md
+pays for nothing but its own transaction. A job that changes nothing costs no fsync.
+Spec page: docs/spec/store.md
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import apsw
 
@@ -21,6 +23,8 @@ from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
+from authguard_r.store.reserve import Reserve
+from authguard_r.store.turn import SqliteTurn, blob, first_row
 
 T = TypeVar("T")
 
@@ -30,8 +34,6 @@ FORMAT = 1
 #: First SQLite without the WAL-reset corruption bug.
 _OLDEST_SQLITE = (3, 51, 3)
 _MAX_BATCH = 64
-#: Held values that are remembered beside the file.
-_MOST_KNOWN = 64
 
 _SCHEMA = """
 CREATE TABLE held (
@@ -73,10 +75,11 @@ _REASONS: tuple[tuple[type[Exception], Reason, str], ...] = (
 class _Ticket(Generic[T]):
     """A job that waits for its turn, and later its result."""
 
-    __slots__ = ("done", "error", "job", "result")
+    __slots__ = ("done", "error", "essential", "job", "result")
 
-    def __init__(self, job: Callable[[Turn], T]) -> None:
+    def __init__(self, job: Callable[[Turn], T], *, essential: bool = False) -> None:
         self.job = job
+        self.essential = essential
         self.done = False
         self.result: T | None = None
         self.error: BaseException | None = None
@@ -88,118 +91,71 @@ class _Ticket(Generic[T]):
         return self.result  # type: ignore[return-value]
 
 
-class _SqliteTurn:
-    """One consistent view inside the open transaction (`core.ports.Turn`).
-
-    What a job puts and appends is kept apart until it ends well, as in the store in memory: a job
-    that fails has written nothing, and needs no savepoint to undo it.
-    """
-
-    def __init__(self, connection: apsw.Connection, size: int, link: bytes) -> None:
-        self._connection = connection
-        self._many = connection.cursor().executemany
-        self.size = size
-        self.link = link
-        self._puts: dict[tuple[str, str], bytes] = {}
-        self._rows: list[tuple[int, bytes, bytes, bytes]] = []
-        self._known: dict[tuple[str, str], bytes | None] = {}
-
-    def write(self) -> None:
-        """Write what the job put and appended; on disk when the batch commits."""
-        self._many("INSERT INTO audit VALUES (?, ?, ?, ?)", self._rows)
-        self._many(
-            "INSERT INTO held VALUES (?, ?, ?) "
-            "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
-            [(*place, value) for place, value in self._puts.items()],
-        )
-        for place, value in self._puts.items():
-            self._know(place, value)
-        self._puts, self._rows = {}, []
-
-    def drop(self, head: tuple[int, bytes]) -> None:
-        """Forget what the job put and appended; none of it was written."""
-        self.size, self.link = head
-        self._puts, self._rows = {}, []
-
-    def forget(self) -> None:
-        """Read everything again: what was written may have been undone."""
-        self._known.clear()
-
-    def get(self, kind: str, key: str) -> bytes | None:
-        """Return the value held under the key."""
-        place = (kind, key)
-        if place in self._puts:
-            return self._puts[place]
-        if place not in self._known:
-            query = "SELECT value FROM held WHERE kind = ? AND key = ?"
-            row = _first(self._connection, query, place)
-            self._know(place, None if row is None else _blob(row[0]))
-        return self._known[place]
-
-    def put(self, kind: str, key: str, value: bytes) -> None:
-        """Hold the value when the turn commits."""
-        self._puts[kind, key] = value
-
-    def _know(self, place: tuple[str, str], value: bytes | None) -> None:
-        """Keep what is held: the lock is exclusive, so nobody else can change it."""
-        if len(self._known) >= _MOST_KNOWN:
-            self._known.clear()
-        self._known[place] = value
-
-    def head(self) -> tuple[int, bytes]:
-        """Return the number of records and the last link."""
-        return self.size, self.link
-
-    def append(self, record: bytes, sealed: bytes, link: bytes) -> int:
-        """Append one record."""
-        seq = self.size
-        self._rows.append((seq, record, sealed, link))
-        self.size, self.link = seq + 1, link
-        return seq
-
-
 class SqliteStore:
     """Registry and audit log of one robot in one file (`core.ports.Store`)."""
 
-    def __init__(self, connection: apsw.Connection) -> None:
+    def __init__(self, connection: apsw.Connection, reserve: Reserve) -> None:
         self._connection = connection
+        self._reserve = reserve
         self._execute = connection.cursor().execute
+        self._closed = False
         self._lock = threading.Lock()
         self._pending: deque[_Ticket[object]] = deque()
-        self._turn = _SqliteTurn(connection, *_read_head(connection))
+        self._turn = SqliteTurn(connection, *_read_head(connection))
 
-    def run(self, job: Callable[[Turn], T]) -> T:
+    def run(self, job: Callable[[Turn], T], *, essential: bool = False) -> T:
         """Run the job in the writer's turn; returns after its effects are on disk.
+
+        Args:
+            job: run twice when the disk was full and the reserve made room.
+            essential: may use the reserve; without it, a job that writes is refused while the
+                reserve is gone.
 
         Raises:
             StoreError: nothing of the job was committed.
         """
-        ticket = _Ticket(job)
+        ticket = _Ticket(job, essential=essential)
         self._pending.append(ticket)  # type: ignore[arg-type]
         with self._lock:
             while not ticket.done:  # a full batch may be before it
                 self._commit_batch()
         return ticket.finish()
 
-    def close(self) -> None:
-        """Let go of the file."""
+    def read(self, job: Callable[[Turn], T]) -> T:
+        """Return what a job reads; what it puts or appends is dropped.
+
+        Raises:
+            StoreError: the store cannot be read.
+        """
         with self._lock:
+            before = self._turn.head()
+            try:
+                self._require_open()
+                return job(self._turn)
+            except apsw.Error as error:
+                raise store_error(error) from error
+            finally:
+                if self._turn.changes:
+                    self._turn.drop(before)
+
+    def restore(self) -> bool:
+        """Allocate the reserve again if it is gone; True while there is room beside it."""
+        return self._reserve.restore()
+
+    def close(self) -> None:
+        """Let go of the file; the reserve stays for the next start."""
+        with self._lock:
+            self._closed = True
             self._connection.close()
 
     def _commit_batch(self) -> None:
         batch = [self._pending.popleft() for _ in range(min(len(self._pending), _MAX_BATCH))]
-        before = self._turn.head()
         try:
-            self._execute("BEGIN IMMEDIATE")
-            for ticket in batch:
-                self._run_one(ticket)
-            self._execute("COMMIT")
+            self._commit_or_make_room(batch)
         except apsw.Error as error:
-            self._roll_back(before)
             for ticket in batch:
                 ticket.error = store_error(error)
         except BaseException:
-            self._roll_back(before)
             for ticket in batch:
                 ticket.error = StoreError("the commit was interrupted", where="store")
             raise
@@ -207,11 +163,33 @@ class SqliteStore:
             for ticket in batch:
                 ticket.done = True
 
+    def _commit_or_make_room(self, batch: list[_Ticket[object]]) -> None:
+        try:
+            self._commit(batch)
+        except apsw.FullError:
+            if not (any(ticket.essential for ticket in batch) and self._reserve.let_go()):
+                raise
+            self._commit(batch)  # only what is essential may write now
+
+    def _commit(self, batch: list[_Ticket[object]]) -> None:
+        self._require_open()
+        before = self._turn.head()
+        try:
+            for ticket in batch:
+                self._run_one(ticket)
+            if self._connection.in_transaction:
+                self._execute("COMMIT")
+        except BaseException:
+            self._roll_back(before)
+            raise
+
     def _run_one(self, ticket: _Ticket[object]) -> None:
         """Run one job; its own mistake undoes it alone, the store's fault undoes the batch."""
         before = self._turn.head()
+        ticket.error = None  # of a first try
         try:
             ticket.result = ticket.job(self._turn)
+            self._require_room(ticket)
         except apsw.Error:
             raise
         except BaseException as error:  # noqa: BLE001 - handed to the caller of `run`
@@ -219,6 +197,19 @@ class SqliteStore:
             ticket.error = error
         else:
             self._turn.write()
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise apsw.ConnectionClosedError("the store is closed")
+
+    def _require_room(self, ticket: _Ticket[object]) -> None:
+        """Keep what the reserve left for essential jobs."""
+        if self._reserve.is_gone and self._turn.changes and not ticket.essential:
+            raise StoreError(
+                "the disk is full: what is left is kept for outcomes, stops and management",
+                where="store",
+                reason=Reason.STORE_FULL,
+            )
 
     def _roll_back(self, before: tuple[int, bytes]) -> None:
         self._turn.drop(before)
@@ -232,11 +223,13 @@ class SqliteStore:
             pass
 
 
-def open_store(path: Path, *, vfs: str | None = None) -> SqliteStore:
+def open_store(path: Path, *, reserve_bytes: int = 0, vfs: str | None = None) -> SqliteStore:
     """Return the store in the file, made anew when there is none.
 
     Args:
         path: the file; its folder must exist.
+        reserve_bytes: disk space kept beside the file for essential jobs; 0 keeps none. When it
+            cannot be had, only essential jobs write until it can.
         vfs: name of an SQLite file system, for tests that cut the power.
 
     Raises:
@@ -250,11 +243,15 @@ def open_store(path: Path, *, vfs: str | None = None) -> SqliteStore:
             reason=Reason.STORE_UNAVAILABLE,
             where=str(path),
         )
+    if vfs is None:
+        with suppress(OSError):  # SQLite says why, and gives its other files the same mode
+            path.touch(mode=0o600, exist_ok=False)
     try:
         connection = apsw.Connection(str(path), vfs=vfs)
         try:
             _prepare(connection, path)
-            return SqliteStore(connection)
+            # after the lock: the ballast is its holder's
+            return SqliteStore(connection, Reserve(path, reserve_bytes))
         except BaseException:
             connection.close()
             raise
@@ -276,7 +273,7 @@ def read_rows(path: Path) -> Iterator[Row]:
             _require_format(connection, path)
             rows = connection.execute("SELECT seq, record, sealed, link FROM audit ORDER BY seq")
             for seq, record, sealed, link in rows:
-                yield Row(seq, _blob(record), _blob(sealed), _blob(link))
+                yield Row(seq, blob(record), blob(sealed), blob(link))
         finally:
             connection.close()
     except (apsw.Error, UnicodeDecodeError) as error:
@@ -295,7 +292,7 @@ def read_held(path: Path, kind: str, key: str) -> bytes | None:
         connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
         try:
             _require_format(connection, path)
-            return _SqliteTurn(connection, 0, GENESIS).get(kind, key)
+            return SqliteTurn(connection, 0, GENESIS).get(kind, key)
         finally:
             connection.close()
     except apsw.Error as error:
@@ -351,20 +348,5 @@ def _require_format(connection: apsw.Connection, path: Path) -> None:
 
 
 def _read_head(connection: apsw.Connection) -> tuple[int, bytes]:
-    row = _first(connection, "SELECT seq, link FROM audit ORDER BY seq DESC LIMIT 1", ())
-    return (0, GENESIS) if row is None else (row[0] + 1, _blob(row[1]))
-
-
-def _first(connection: apsw.Connection, query: str, values: tuple[str, ...]) -> Any:
-    """Return the first row, or None; text that is no text is a damaged cell."""
-    try:
-        return connection.execute(query, values).fetchone()
-    except UnicodeDecodeError as error:
-        raise apsw.CorruptError("expected bytes, got broken text") from error
-
-
-def _blob(cell: object) -> bytes:
-    """Return a cell's bytes; a strict table holds nothing else, a damaged one may."""
-    if isinstance(cell, bytes):
-        return cell
-    raise apsw.CorruptError(f"expected bytes, got {type(cell).__name__}")
+    row = first_row(connection, "SELECT seq, link FROM audit ORDER BY seq DESC LIMIT 1", ())
+    return (0, GENESIS) if row is None else (row[0] + 1, blob(row[1]))

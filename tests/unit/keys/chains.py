@@ -11,14 +11,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
+from typing import Any
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.mldsa import (
+    MLDSA44PrivateKey,
+    MLDSA65PrivateKey,
+    MLDSA87PrivateKey,
+)
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID, ObjectIdentifier
 
 from authguard_r.core.quantities import Now
+from authguard_r.keys.algorithms import Algorithm, PrivateKey
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.signer import FileSigner
@@ -33,7 +40,9 @@ OIDS = {
     Role.GATE: ObjectIdentifier(f"{ARC}.5"),
     Role.ESTIMATOR: ObjectIdentifier(f"{ARC}.6"),
     Role.WITNESS: ObjectIdentifier(f"{ARC}.7"),
+    Role.SCHEDULER: ObjectIdentifier(f"{ARC}.8"),
 }
+EVERYWHERE = ("urn:authguard-r:every-robot", "urn:authguard-r:every-region")
 PRINCIPAL = "urn:authguard-r:principal:"
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)
 NOW = Now(int(TODAY.timestamp()) * 1000, 10_000)
@@ -51,7 +60,7 @@ Extra = tuple[x509.ExtensionType, bool]
 class Held:
     """A certificate with the private key that it names."""
 
-    key: Ed25519PrivateKey
+    key: PrivateKey
     certificate: x509.Certificate
 
     @property
@@ -63,6 +72,21 @@ class Held:
 def key(name: str) -> Ed25519PrivateKey:
     """One key for each name, the same all through a run."""
     return Ed25519PrivateKey.from_private_bytes(name.encode().ljust(32, b".")[:32])
+
+
+_SEEDED = {
+    Algorithm.ML_DSA_44: MLDSA44PrivateKey,
+    Algorithm.ML_DSA_65: MLDSA65PrivateKey,
+    Algorithm.ML_DSA_87: MLDSA87PrivateKey,
+}
+
+
+@cache
+def key_of(algorithm: Algorithm, name: str) -> PrivateKey:
+    """One key for each algorithm and name, the same all through a run."""
+    if algorithm is Algorithm.ED25519:
+        return key(name)
+    return _SEEDED[algorithm].from_seed_bytes(name.encode().ljust(32, b".")[:32])
 
 
 def usage(*, signs: bool, certifies: bool) -> x509.KeyUsage:
@@ -101,7 +125,7 @@ def certify(
     *,
     subject: str,
     issuer: str,
-    by: Ed25519PrivateKey,
+    by: PrivateKey,
     start: datetime = TODAY - timedelta(days=1),
     end: datetime = TODAY + timedelta(days=30),
     serial: int | None = None,
@@ -123,7 +147,7 @@ def certify(
     return builder.sign(by, None)
 
 
-def key_ids(public: CertificatePublicKeyTypes, issuer: Ed25519PrivateKey) -> tuple[Extra, Extra]:
+def key_ids(public: CertificatePublicKeyTypes, issuer: PrivateKey) -> tuple[Extra, Extra]:
     """Subject and authority key identifiers, which RFC 5280 wants and the profile ignores."""
     return (
         (x509.SubjectKeyIdentifier.from_public_key(public), False),
@@ -134,7 +158,7 @@ def key_ids(public: CertificatePublicKeyTypes, issuer: Ed25519PrivateKey) -> tup
 def root(
     subject: str = "Test root",
     *,
-    own: Ed25519PrivateKey | None = None,
+    own: PrivateKey | None = None,
     start: datetime = TODAY - timedelta(days=1),
     end: datetime = TODAY + timedelta(days=30),
 ) -> Held:
@@ -158,7 +182,8 @@ def authority(
     roles: tuple[Role, ...] = PEOPLE,
     *,
     subject: str = "People authority",
-    by: Ed25519PrivateKey | None = None,
+    by: PrivateKey | None = None,
+    own: PrivateKey | None = None,
     public: CertificatePublicKeyTypes | None = None,
     start: datetime = TODAY - timedelta(days=1),
     end: datetime = TODAY + timedelta(days=30),
@@ -170,8 +195,8 @@ def authority(
     issuer_name: str | None = None,
 ) -> Held:
     """A role authority; every argument is one knob, and its default is the good setting."""
-    own = key(subject)
-    public = public or own.public_key()
+    held = own or key(subject)
+    public = public or held.public_key()
     signer = by or issuer.key
     certificate = certify(
         public,
@@ -189,15 +214,15 @@ def authority(
             *extra,
         ),
     )
-    return Held(own, certificate)
+    return Held(held, certificate)
 
 
 def leaf(
     issuer: Held,
     principal: str = "operator-1",
     *,
-    by: Ed25519PrivateKey | None = None,
-    own: Ed25519PrivateKey | None = None,
+    by: PrivateKey | None = None,
+    own: PrivateKey | None = None,
     public: CertificatePublicKeyTypes | None = None,
     start: datetime = TODAY - timedelta(days=1),
     end: datetime = TODAY + timedelta(days=30),
@@ -213,7 +238,7 @@ def leaf(
     held = own or key(f"leaf {principal}")
     public = public or held.public_key()
     signer = by or issuer.key
-    uris = (san(PRINCIPAL + principal), False) if isinstance(names, str) else names
+    uris = (san(PRINCIPAL + principal, *EVERYWHERE), False) if isinstance(names, str) else names
     certificate = certify(
         public,
         subject=principal or "nobody",
@@ -246,7 +271,7 @@ class House:
             der: RevocationList(number=1, next_update_ms=until, serials=dead.get(der, frozenset()))
             for der in (self.root.der, self.people.der)
         }
-        return Trust(self.root.certificate, lists)
+        return Trust((self.root.certificate,), lists)
 
     def signer(self, held: Held) -> FileSigner:
         return FileSigner(held.key, (held.der, self.people.der))
@@ -260,6 +285,19 @@ def house() -> House:
     """The one good set-up; tests make variations of it."""
     top = root()
     return House(top, authority(top))
+
+
+@cache
+def house_of(algorithm: Algorithm) -> House:
+    """A good set-up of one algorithm all the way down; its root has a name of its own."""
+    top = root(f"Root {algorithm}", own=key_of(algorithm, "root"))
+    return House(top, authority(top, own=key_of(algorithm, "people")))
+
+
+def leaf_of(algorithm: Algorithm, principal: str = "operator-1", **knobs: Any) -> Held:
+    """A leaf under `house_of`, with a key of the same algorithm."""
+    own = key_of(algorithm, f"leaf {principal}")
+    return leaf(house_of(algorithm).people, principal, **{"own": own, **knobs})
 
 
 # -- DER, for what no library agrees to write ------------------------------------------------------

@@ -17,9 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from authguard_r.core.errors import AuthenticityError
-from authguard_r.core.identifiers import PrincipalId
+from authguard_r.core.identifiers import PrincipalId, RegionId, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
+from authguard_r.core.token import Scope
 from authguard_r.keys.certificate import (
     Leaf,
     LeafClaims,
@@ -27,11 +28,11 @@ from authguard_r.keys.certificate import (
     build_authority,
     build_leaf,
     build_root,
-    is_demo,
     load,
     read_claims,
     walk,
 )
+from authguard_r.keys.trust import is_demo
 from unit.keys import chains
 from unit.keys.chains import NOW, OIDS, PRINCIPAL, TODAY, Held, eku, house, san, usage
 
@@ -39,6 +40,7 @@ LEAF = "certificate.leaf"
 AUTHORITY = "certificate.authority"
 ROOT = "certificate.root"
 ROBOT = "urn:authguard-r:robot:"
+REGION = "urn:authguard-r:region:"
 PROFILE = "urn:authguard-r:profile:"
 DIGEST = "A" * 43
 
@@ -47,7 +49,7 @@ def walked(leaf: Held, authority: Held | None = None, root: Held | None = None) 
     return walk(
         leaf.der,
         (authority or house().people).der,
-        root=(root or house().root).certificate,
+        roots=((root or house().root).certificate,),
         now=NOW,
     )
 
@@ -135,17 +137,23 @@ def test_the_product_s_own_builders_make_chains_that_walk(role: Role) -> None:
         key=authority_key,
         now=start,
         days=10,
-        robot="courier-1",
+        robots=("courier-1",),
+        regions=("pharmacy", "office-1"),
         profile=DIGEST,
     )
     ders = [cert.public_bytes(Encoding.DER) for cert in (leaf, issuer)]
-    found = walk(ders[0], ders[1], root=root, now=NOW)
+    found = walk(ders[0], ders[1], roots=(root,), now=NOW)
     assert (found.principal, found.role) == ("gate-1", role)
     assert (found.robot, found.profile) == ("courier-1", DIGEST)
+    assert found.scope == Scope(
+        robots=frozenset({RobotId("courier-1")}),
+        regions=frozenset({RegionId("pharmacy"), RegionId("office-1")}),
+    )
     assert found.not_after_ms == NOW.utc_ms + 9 * chains.DAY_MS
     assert len({cert.serial_number for cert in (root, issuer, leaf)}) == 3
     # exactly these extensions, so that other validators are told the same
-    names = san(PRINCIPAL + "gate-1", ROBOT + "courier-1", PROFILE + DIGEST)
+    places = (REGION + "pharmacy", REGION + "office-1")
+    names = san(PRINCIPAL + "gate-1", ROBOT + "courier-1", *places, PROFILE + DIGEST)
     expected: list[tuple[x509.Certificate, list[chains.Extra]]] = [
         (root, [(chains.ROOT_BASIC, True), chains.CERTIFIES]),
         (issuer, [(chains.AUTHORITY_BASIC, True), chains.CERTIFIES, (eku(role), True)]),
@@ -251,9 +259,22 @@ BAD_LEAVES: dict[str, Callable[[], Held]] = {
     "the prefix in another case": lambda: chains.leaf(
         house().people, names=(san("URN:authguard-r:principal:operator-1"), False)
     ),
-    "two robots": lambda: chains.leaf(
+    "every robot and one of them": lambda: chains.leaf(
         house().people,
-        names=(san(PRINCIPAL + "operator-1", ROBOT + "courier-1", ROBOT + "lifter-1"), False),
+        names=(san(PRINCIPAL + "operator-1", chains.EVERYWHERE[0], ROBOT + "lifter-1"), False),
+    ),
+    "every region and one of them": lambda: chains.leaf(
+        house().people,
+        names=(san(PRINCIPAL + "operator-1", chains.EVERYWHERE[1], REGION + "dock"), False),
+    ),
+    "a robot that is no identifier": lambda: chains.leaf(
+        house().people, names=(san(PRINCIPAL + "operator-1", ROBOT + "Courier 1"), False)
+    ),
+    "a robot without a name": lambda: chains.leaf(
+        house().people, names=(san(PRINCIPAL + "operator-1", ROBOT), False)
+    ),
+    "a region that is no identifier": lambda: chains.leaf(
+        house().people, names=(san(PRINCIPAL + "operator-1", REGION + "*"), False)
     ),
     "two profiles": lambda: chains.leaf(
         house().people,
@@ -266,6 +287,58 @@ BAD_LEAVES: dict[str, Callable[[], Held]] = {
         house().people, by=chains.key("leaf operator-1"), issuer_name="operator-1"
     ),
 }
+
+
+THRESHOLD = "urn:authguard-r:threshold:"
+MEMBERS = tuple(f"urn:authguard-r:member:supervisor-{number}" for number in (1, 2, 3))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        (THRESHOLD + "2",),
+        MEMBERS,
+        (THRESHOLD + "0", *MEMBERS),
+        (THRESHOLD + "4", *MEMBERS),
+        (THRESHOLD + "2", THRESHOLD + "2", *MEMBERS),
+        (THRESHOLD + "02", *MEMBERS),
+        (THRESHOLD + "-1", *MEMBERS),
+        (THRESHOLD + "2\n", *MEMBERS),
+        (THRESHOLD + "two", *MEMBERS),
+        (THRESHOLD, *MEMBERS),
+        (THRESHOLD + "2", MEMBERS[0], MEMBERS[0]),
+        (THRESHOLD + "2", *MEMBERS, "urn:authguard-r:member:Nobody Here"),
+    ],
+)
+def test_a_group_s_certificate_that_does_not_say_how_many_of_whom_is_refused(
+    names: tuple[str, ...],
+) -> None:
+    said = (san(PRINCIPAL + "board", *chains.EVERYWHERE, *names), False)
+    refused(chains.leaf(house().people, "board", names=said), where=LEAF)
+
+
+@pytest.mark.parametrize("threshold", [1, 2, 3])
+def test_a_group_s_certificate_says_how_many_of_whom_sign_together(threshold: int) -> None:
+    said = (PRINCIPAL + "board", *chains.EVERYWHERE, f"{THRESHOLD}{threshold}", *MEMBERS)
+    found = walked(chains.leaf(house().people, "board", names=(san(*said), False)))
+    assert found.threshold == threshold
+    assert found.members == {"supervisor-1", "supervisor-2", "supervisor-3"}
+    person = walked(chains.leaf(house().people))
+    assert (person.threshold, person.members) == (1, frozenset())
+
+
+def test_a_leaf_that_names_two_robots_is_for_both_and_is_no_one_robot_s() -> None:
+    names = (PRINCIPAL + "operator-1", ROBOT + "courier-1", ROBOT + "lifter-1", REGION + "dock")
+    found = walked(chains.leaf(house().people, names=(san(*names), False)))
+    assert found.scope.robots == {"courier-1", "lifter-1"}
+    assert found.scope.regions == {"dock"}
+    assert found.robot is None
+
+
+def test_a_leaf_that_names_nothing_is_for_nothing() -> None:
+    found = walked(chains.leaf(house().people, names=(san(PRINCIPAL + "operator-1"), False)))
+    assert found.scope == Scope(robots=frozenset(), regions=frozenset())
+    assert not found.scope.covers(RobotId("courier-1"))
 
 
 @pytest.mark.parametrize("make", BAD_LEAVES.values(), ids=BAD_LEAVES)
@@ -450,12 +523,12 @@ def test_both_ends_of_a_certificate_s_time_are_included_to_the_millisecond(
 ) -> None:
     leaf = chains.leaf(house().people, start=TODAY, end=TODAY + timedelta(seconds=60))
     now = Now(NOW.utc_ms + offset_ms, 0)
-    root = house().root.certificate
+    roots = (house().root.certificate,)
     if holds:
-        assert walk(leaf.der, house().people.der, root=root, now=now).principal == "operator-1"
+        assert walk(leaf.der, house().people.der, roots=roots, now=now).principal == "operator-1"
         return
     with pytest.raises(AuthenticityError) as caught:
-        walk(leaf.der, house().people.der, root=root, now=now)
+        walk(leaf.der, house().people.der, roots=roots, now=now)
     assert caught.value.reason is Reason.CERTIFICATE_EXPIRED
     assert "2030-06-15T12:00:00Z" in caught.value.message
     assert "2030-06-15T12:01:00Z" in caught.value.message
@@ -498,7 +571,7 @@ def test_a_certificate_with_one_byte_changed_is_refused(data: st.DataObject) -> 
     value = data.draw(st.integers(0, 255).filter(lambda byte: byte != der[at]))
     changed = der[:at] + bytes([value]) + der[at + 1 :]
     with pytest.raises(AuthenticityError) as caught:
-        walk(changed, house().people.der, root=house().root.certificate, now=NOW)
+        walk(changed, house().people.der, roots=(house().root.certificate,), now=NOW)
     assert caught.value.reason is Reason.CERTIFICATE_INVALID
     assert caught.value.where == LEAF
 
@@ -515,19 +588,21 @@ def test_a_certificate_with_one_byte_changed_is_refused(data: st.DataObject) -> 
 )
 def test_a_signed_certificate_with_broken_extensions_is_refused(old: str, new: str) -> None:
     """The authority signed nonsense: refused, not believed in part."""
-    leaf = chains.leaf(house().people, "op")
+    leaf = chains.leaf(house().people, "op", names=(san(PRINCIPAL + "op"), False))
     tail = PRINCIPAL.encode() + bytes.fromhex(old) if old == "6f70" else bytes.fromhex(old)
     head = PRINCIPAL.encode() + bytes.fromhex(new) if old == "6f70" else bytes.fromhex(new)
     broken = chains.resigned(leaf.der, tail, head, by=house().people.key)
     with pytest.raises(AuthenticityError) as caught:
-        walk(broken, house().people.der, root=house().root.certificate, now=NOW)
+        walk(broken, house().people.der, roots=(house().root.certificate,), now=NOW)
     assert (caught.value.reason, caught.value.where) == (Reason.CERTIFICATE_INVALID, LEAF)
 
 
 def test_signing_a_certificate_again_is_what_the_tests_above_rely_on() -> None:
     leaf = chains.leaf(house().people, "op")
     same = chains.resigned(leaf.der, b"principal:op", b"principal:oq", by=house().people.key)
-    assert walk(same, house().people.der, root=house().root.certificate, now=NOW).principal == "oq"
+    assert (
+        walk(same, house().people.der, roots=(house().root.certificate,), now=NOW).principal == "oq"
+    )
 
 
 # -- people ----------------------------------------------------------------------------------------

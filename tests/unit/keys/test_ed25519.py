@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.ed25519 import public_key, require_signature, require_sound
+from authguard_r.keys.algorithms import require_signature, require_sound
+from authguard_r.keys.ed25519 import public_key
 
 P = 2**255 - 19
 D = -121665 * pow(121666, P - 2, P) % P

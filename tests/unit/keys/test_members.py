@@ -17,7 +17,9 @@ from authguard_r.keys.setup import Member, init_folder
     "names", [["../../escaped"], ["a", "a"], ["root"], ["people"], ["UPPER"], [""]]
 )
 def test_a_bad_name_writes_nothing(tmp_path: Path, names: list[str]) -> None:
-    members = tuple(Member(id=name, role=Role.OPERATOR) for name in names)
+    members = tuple(
+        Member(id=name, role=Role.OPERATOR, robots=None, regions=None) for name in names
+    )
     with pytest.raises(EnvironmentFault):
         init_folder(tmp_path / "trust", members, now=datetime.now(UTC))
     assert not (tmp_path / "trust").exists()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Private keys in files: the leaf's own Ed25519 key with its chain, or a refusal that names why."""
+"""Private keys in files: the leaf's own key with its chain, or a refusal that names why."""
 
 from __future__ import annotations
 
@@ -54,11 +54,7 @@ def refused(folder: Path, key: bytes, chain: bytes, *, where: str) -> Authentici
 def test_a_signer_signs_as_its_leaf(tmp_path: Path) -> None:
     signer = read_signer(*files(tmp_path, pem(LEAF.key), cert(LEAF, house().people)))
     assert signer.chain == (LEAF.der, house().people.der)
-    found = (
-        house()
-        .trust()
-        .verify(b"go", signature=signer.sign(b"go"), chain=signer.chain, now=chains.NOW)
-    )
+    found = house().trust().verify(b"go", signer.endorse(b"go"), chains.NOW)
     assert found.id == "operator-1"
 
 
@@ -106,7 +102,7 @@ def test_a_file_that_is_no_open_pem_key_is_refused(tmp_path: Path, key: bytes) -
 )
 def test_a_key_of_another_algorithm_is_refused(tmp_path: Path, key: PrivateKeyTypes) -> None:
     error = refused(tmp_path, pem(key), cert(LEAF, house().people), where="key.pem")
-    assert "Ed25519" in error.message
+    assert "ed25519" in error.message
 
 
 def test_the_key_of_another_leaf_is_refused(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def test_the_list_that_ends_first_ends_the_chain(sooner: str) -> None:
         )
         for name, days in ends.items()
     }
-    trust = Trust(house().root.certificate, lists)
+    trust = Trust((house().root.certificate,), lists)
     found = trust.identify(house().chain(chains.leaf(house().people)), NOW)
     assert found.not_after_ms == NOW.utc_ms + 4 * DAY_MS
 
@@ -104,7 +104,7 @@ def test_a_list_past_its_next_update_refuses_what_it_should_cover(
         held[name].der: RevocationList(number=1, next_update_ms=end, serials=frozenset())
         for name, end in until.items()
     }
-    trust = Trust(house().root.certificate, lists)
+    trust = Trust((house().root.certificate,), lists)
     chain = house().chain(chains.leaf(house().people))
     now = Now(NOW.utc_ms + late_ms, 0)
     if holds:
@@ -123,7 +123,7 @@ def test_a_missing_list_refuses_as_a_stale_one_does(missing: str) -> None:
         for name in held
         if name != missing
     }
-    trust = Trust(house().root.certificate, lists)
+    trust = Trust((house().root.certificate,), lists)
     chain = house().chain(chains.leaf(house().people))
     refused(trust, chain, reason=Reason.REVOCATION_STALE, where="revocations")
 
@@ -234,13 +234,12 @@ def test_a_chain_is_walked_once_as_long_as_nothing_changes() -> None:
 
 def test_a_signature_is_its_leaf_s_word() -> None:
     leaf = chains.leaf(house().people)
-    found = (
-        house()
-        .trust(days=3)
-        .verify(b"go", signature=leaf.key.sign(b"go"), chain=house().chain(leaf), now=NOW)
-    )
+    found = house().trust(days=3).verify(b"go", ((house().chain(leaf), leaf.key.sign(b"go")),), NOW)
     assert found == Principal(
-        id="operator-1", role="operator", usable_until_ms=NOW.utc_ms + 3 * DAY_MS
+        id="operator-1",
+        role="operator",
+        scope=worlds.EVERYWHERE,
+        usable_until_ms=NOW.utc_ms + 3 * DAY_MS,
     )
 
 
@@ -254,7 +253,7 @@ def test_the_signature_of_another_key_does_not_hold(who: str) -> None:
         "nobody": b"",
     }[who]
     with pytest.raises(AuthenticityError) as caught:
-        house().trust().verify(b"go", signature=signature, chain=house().chain(leaf), now=NOW)
+        house().trust().verify(b"go", ((house().chain(leaf), signature),), NOW)
     assert (caught.value.reason, caught.value.where) == (Reason.SIGNATURE_INVALID, "signature")
 
 
@@ -262,7 +261,7 @@ def test_a_chain_that_does_not_hold_is_named_before_its_signature_is_looked_at()
     """Paper order: step 1 comes before step 2."""
     leaf = chains.leaf(house().people, by=chains.key("mallory"))
     with pytest.raises(AuthenticityError) as caught:
-        house().trust().verify(b"go", signature=b"", chain=house().chain(leaf), now=NOW)
+        house().trust().verify(b"go", ((house().chain(leaf), b""),), NOW)
     assert caught.value.reason is Reason.CERTIFICATE_INVALID
 
 
@@ -292,8 +291,10 @@ def test_a_gate_is_the_robot_and_the_profile_in_its_certificate() -> None:
         (Role.GATE, GATE_NAMES[:1]),
         (Role.GATE, GATE_NAMES[:2]),
         (Role.GATE, (GATE_NAMES[0], GATE_NAMES[2])),
+        (Role.GATE, (*GATE_NAMES, "urn:authguard-r:robot:lifter-1")),
+        (Role.GATE, (GATE_NAMES[0], GATE_NAMES[2], "urn:authguard-r:every-robot")),
     ],
-    ids=["another role", "neither", "no profile", "no robot"],
+    ids=["another role", "neither", "no profile", "no robot", "two robots", "every robot"],
 )
 def test_a_certificate_that_is_no_whole_gate_s_is_no_gate(
     role: Role, names: tuple[str, ...]
@@ -335,7 +336,7 @@ def test_a_revoked_gate_is_no_gate() -> None:
 def test_a_root_with_an_unsound_key_is_refused_at_the_start(public: Ed25519PublicKey) -> None:
     bad = chains.certify(public, subject="Root", issuer="Root", by=chains.key("Root"))
     with pytest.raises(AuthenticityError) as caught:
-        Trust(bad, {})
+        Trust((bad,), {})
     assert (caught.value.reason, caught.value.where) == (Reason.KEY_INVALID, "root")
 
 

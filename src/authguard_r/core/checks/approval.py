@@ -14,11 +14,12 @@ from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.finding import Finding, Findings
-from authguard_r.core.identifiers import Digest
-from authguard_r.core.mission import Grant
+from authguard_r.core.identifiers import Digest, PrincipalId
+from authguard_r.core.mission import Grant, RiskPolicy
 from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import required, rho, tier_of
 from authguard_r.core.standing import ApprovalRequest
+from authguard_r.core.token import Principal
 
 
 class Need(Struct, frozen=True, kw_only=True):
@@ -39,10 +40,7 @@ class Situation(Struct, frozen=True, kw_only=True):
 
 def assess_need(case: Case, grant: Grant) -> Need:
     """Return Req(a, s), and what approvals must carry when there must be any; computed afresh."""
-    policy = case.verified.mission.risk_policy
-    score = rho(case.action, policy, state=case.state, facts=case.facts, now=case.now)
-    tier = tier_of(policy, score)
-    count = required(policy, tier)
+    count, tier, score = max([_strictness(case, policy) for policy in _policies(case)])
     if count <= 1:
         return Need(risk=score, required=count)
     guards = (*case.verified.mission.guards, *grant.guards)
@@ -52,8 +50,20 @@ def assess_need(case: Case, grant: Grant) -> Need:
         risk=score,
         required=count,
         scope=digest_of(Tag.SCOPE, scope_of(case.action)),
-        situation=digest_of(Tag.SITUATION, Situation(guards=truth, tier=int(tier))),
+        situation=digest_of(Tag.SITUATION, Situation(guards=truth, tier=tier)),
     )
+
+
+def _policies(case: Case) -> tuple[RiskPolicy, ...]:
+    """Return the mission's policy and the organization's; each has to be satisfied."""
+    return (case.verified.mission.risk_policy, *case.facts.risk)
+
+
+def _strictness(case: Case, policy: RiskPolicy) -> tuple[int, int, int]:
+    """Return how many principals one policy wants, and from which tier and score."""
+    score = rho(case.action, policy, state=case.state, facts=case.facts, now=case.now)
+    tier = tier_of(policy, score)
+    return required(policy, tier), int(tier), score
 
 
 def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
@@ -68,10 +78,20 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
     fitting = [a for a in case.approvals if _fits(a, case, grant, request)]
     if any(a.approval.verdict is Verdict.DENY for a in fitting):
         return (_finding(Reason.APPROVAL_DENIED, need.required, "a principal denied"),)
-    approvers = {a.approver.id for a in fitting}
-    if len(approvers) >= need.required - 1:
+    behind = _count([a.approver for a in fitting], case.verified.mission.issuer)
+    if behind >= need.required - 1:
         return ()
-    return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{len(approvers) + 1} of them"),)
+    return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{behind + 1} of them"),)
+
+
+def _count(approvers: list[Principal], issuer: PrincipalId) -> int:
+    """Return how many people other than the issuer stand behind the approvals.
+
+    People may be members of a group, and of two: what one road counts is never added to another.
+    """
+    people = {a.id for a in approvers if not a.members}
+    groups = [a.threshold - (issuer in a.members) for a in approvers if a.members]
+    return max(len(people), *groups, 0)
 
 
 def _ask(case: Case, need: Need) -> Findings:
@@ -99,7 +119,9 @@ def _fits(item: VerifiedApproval, case: Case, grant: Grant, request: ApprovalReq
     )
     in_time = case.now.utc_ms <= min(approval.expires_ms, item.approver.usable_until_ms)
     eligible = (
-        item.approver.role in mission.risk_policy.roles and item.approver.id != mission.issuer
+        all(item.approver.role in policy.roles for policy in _policies(case))
+        and item.approver.id != mission.issuer
+        and item.approver.scope.covers(approval.rid, case.action.places)
     )
     return bound and in_time and eligible
 

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard approvals`: what people are asked while a robot works, and their answers.
+
+How-to: docs/howto/approvals.md
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.gateway import (
+    GateOption,
+    ProofOption,
+    Reading,
+    RoleOption,
+    connected,
+)
+from authguard_r.cli.inputs import JsonFlag, load_site
+from authguard_r.cli.out import emit, printed
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.watch import ENDED, event_line
+from authguard_r.client import GateClient
+from authguard_r.client.questions import Shown, shown
+from authguard_r.compile.request import action_line, brief, card
+from authguard_r.core.approval import Verdict
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.keys.signer import FileSigner
+from authguard_r.site.model import Site
+from authguard_r.wire.questions import Question
+
+app = typer.Typer(
+    help="Open approval requests: see them, answer them, watch them.", no_args_is_help=True
+)
+
+CounterArgument = Annotated[int, typer.Argument(help="The request's number.", min=1)]
+KeyChoice = Annotated[Path, typer.Option("--key", help="The approver's key.")]
+CertChoice = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
+SiteChoice = Annotated[
+    Path | None, typer.Option("--site", help="The site model, for units and marks.")
+]
+YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
+
+
+@app.command("list")
+def list_command(
+    gate: GateOption = None,
+    role: RoleOption = Reading.OPERATOR,
+    trust: ProofOption = None,
+    site: SiteChoice = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """List the open requests of the robot's active mission; exit 3 while there are any."""
+    model = None if site is None else load_site(site)
+    with connected(gate, role, trust) as client:
+        questions = client.approvals()
+    lines = [line for question in questions for line in _brief(question, model)]
+    payload = {"requests": [_payload(question) for question in questions]}
+    emit(payload, lines or ["no open request"], as_json=as_json)
+    return 3 if questions else 0
+
+
+@app.command("show")
+def show_command(
+    counter: CounterArgument,
+    gate: GateOption = None,
+    role: RoleOption = Reading.OPERATOR,
+    trust: ProofOption = None,
+    site: SiteChoice = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show one request whole, from the very bytes that an answer binds."""
+    model = None if site is None else load_site(site)
+    with connected(gate, role, trust) as client:
+        question = client.approval(counter)
+    lines = card(question, shown(question), model)
+    emit({**_payload(question), "card": lines}, lines, as_json=as_json)
+    return 0
+
+
+@app.command("approve")
+def approve_command(
+    counter: CounterArgument,
+    key: KeyChoice,
+    cert: CertChoice,
+    passphrase_file: PassphraseFile = None,
+    gate: GateOption = None,
+    trust: ProofOption = None,
+    site: SiteChoice = None,
+    yes: YesFlag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show a request, ask, sign an approval and hand it in; exit 1 when it does not count."""
+    return _answer(
+        counter,
+        Verdict.APPROVE,
+        open_signer(key, cert, passphrase_file),
+        gate,
+        trust,
+        site,
+        why="",
+        yes=yes,
+        as_json=as_json,
+    )
+
+
+@app.command("deny")
+def deny_command(
+    counter: CounterArgument,
+    key: KeyChoice,
+    cert: CertChoice,
+    reason: Annotated[
+        str, typer.Option("--reason", help="Why; for the log alone, no planner hears of it.")
+    ],
+    passphrase_file: PassphraseFile = None,
+    gate: GateOption = None,
+    trust: ProofOption = None,
+    site: SiteChoice = None,
+    yes: YesFlag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show a request, ask, sign a denial and hand it in; it outweighs every approval."""
+    if not reason.strip():
+        raise typer.BadParameter("say why", param_hint="--reason")
+    return _answer(
+        counter,
+        Verdict.DENY,
+        open_signer(key, cert, passphrase_file),
+        gate,
+        trust,
+        site,
+        why=reason,
+        yes=yes,
+        as_json=as_json,
+    )
+
+
+@app.command("watch")
+def watch_command(
+    gate: GateOption = None,
+    role: RoleOption = Reading.OPERATOR,
+    trust: ProofOption = None,
+    jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
+    count: Annotated[
+        int | None, typer.Option("--count", help="Leave after so many events.", min=1)
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show requests and answers as they come, until interrupted.
+
+    With --json all events come at the end, as one object.
+    """
+    seen: list[dict[str, Any]] = []
+    with suppress(KeyboardInterrupt), connected(gate, role, trust) as client:
+        for event in client.watch():
+            if event.get("event") not in {"approval", ENDED}:
+                continue
+            seen.append(event)
+            if not as_json:
+                _say(event, jsonl=jsonl)
+            if len(seen) == count or event.get("event") == ENDED:
+                break
+    if as_json:
+        emit({"events": seen}, (), as_json=True)
+    return 0
+
+
+def _answer(
+    counter: int,
+    verdict: Verdict,
+    signer: FileSigner,
+    gate: Path | None,
+    trust: Path | None,
+    site: Path | None,
+    *,
+    why: str,
+    yes: bool,
+    as_json: bool,
+) -> int:
+    model = None if site is None else load_site(site)
+    with connected(gate, Reading.OPERATOR, trust) as client:
+        question = client.approval(counter)
+        lines = card(question, shown(question), model)
+        if not yes:
+            confirm_shown(lines, f"{str(verdict).capitalize()} exactly this?", as_json=as_json)
+        told = client.answer(question, verdict, signer, why=why)
+        left = _left(client, counter)
+    worth = told.get("why_not")
+    said = f"request {counter}: {told.get('approver')} {_SAID[verdict]}"
+    missing = []
+    if left is not None and verdict is Verdict.APPROVE:
+        missing = [f"{left.behind} of {left.required} people are behind it"]
+    result = [f"{said}, but it does not count: {worth}"] if worth else [said, *missing]
+    payload = {**told, "counts": not worth, "behind": None if left is None else left.behind}
+    emit(payload, [*(lines if yes else []), *result], as_json=as_json)
+    return 1 if worth else 0
+
+
+_SAID = {Verdict.APPROVE: "approves", Verdict.DENY: "denies"}
+
+
+def _left(client: GateClient, counter: int) -> Question | None:
+    """Return the request as it stands after the answer; None when it is open no more."""
+    with suppress(AuthGuardError):
+        return client.approval(counter)
+    return None
+
+
+def _brief(question: Question, site: Site | None) -> list[str]:
+    """Return a request for the list; one whose bytes do not fit is named, and what is wrong."""
+    try:
+        return brief(question, shown(question), site)
+    except AuthGuardError as error:
+        return [f"{question.counter:4}  CANNOT BE SHOWN: {error.message}"]
+
+
+def _payload(question: Question) -> dict[str, Any]:
+    """Return a request as JSON, with the effect out of its bytes; null when they do not fit."""
+    opened: Shown | None = None
+    with suppress(AuthGuardError):
+        opened = shown(question)
+    plain: dict[str, Any] = msgspec.to_builtins(question)
+    return {
+        **plain,
+        "tier": None if opened is None else opened.situation.tier,
+        "action": None if opened is None else msgspec.to_builtins(opened.scope),
+        "words": None if opened is None else action_line(opened.scope),
+    }
+
+
+def _say(event: dict[str, Any], *, jsonl: bool) -> None:
+    sys.stdout.write((json.dumps(event) if jsonl else printed(event_line(event))) + "\n")
+    sys.stdout.flush()

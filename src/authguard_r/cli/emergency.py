@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard emergency`: a policy of narrow capabilities, written, checked, signed; and a call.
+
+How-to: docs/howto/emergency.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from msgspec import Struct, to_builtins
+
+from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.gateway import GateOption, ProofOption, Reading, connected
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
+from authguard_r.cli.mission_files import write_whole
+from authguard_r.cli.orders import signer_of
+from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.compile.draft import Quantity
+from authguard_r.compile.units import to_integer
+from authguard_r.core.encoding import Tag, decode, unb64
+from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.identifiers import (
+    ActionType,
+    Count,
+    Identifier,
+    ParameterId,
+    Positive,
+    RegionId,
+    RobotId,
+    ToolId,
+    VariableId,
+)
+from authguard_r.core.mission import Comparison, Guard
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import read_token, sign_object
+from authguard_r.emergency.lint import lint_policy
+from authguard_r.emergency.opened import POLICY_ROLES, open_emergency
+from authguard_r.emergency.policy import Aim, Caller, Capability, EmergencyPolicy, Missing
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site.model import Site, profile_digest, site_digest
+from authguard_r.site.source import convert, read_text, read_yaml
+
+app = typer.Typer(help="What a robot may do in an emergency.", no_args_is_help=True)
+policy_app = typer.Typer(help="The signed policy.", no_args_is_help=True)
+app.add_typer(policy_app, name="policy")
+_SIGNER = "safety-officer-1"
+_DAY_MS = int(timedelta(days=1).total_seconds()) * 1_000
+FileArgument = Annotated[Path, typer.Argument(help="A policy as people write it (YAML).")]
+
+
+class Condition(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A guard as people write it; `max_age` as `500 ms`."""
+
+    variable: VariableId
+    comparison: Comparison
+    value: int | bool | str
+    max_age: Quantity
+
+
+class Ability(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A capability as people write it; see `emergency.policy.Capability`."""
+
+    id: Identifier
+    aim: Aim
+    type: ActionType
+    tool: ToolId
+    guards: tuple[Condition, ...]
+    callers: tuple[Caller, ...]
+    max: Quantity
+    per_hour: Positive
+    destination: RegionId | None = None
+    params: dict[ParameterId, Quantity] = {}
+    regions: tuple[RegionId, ...] = ()
+    place_max_age: Quantity = "0 ms"
+    without: tuple[Missing, ...] = ()
+    after_stop: bool = False
+    past_safety: bool = False
+
+
+class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A policy as people write it.
+
+    Args:
+        id: its name.
+        version: grows with each change.
+        robot: the robot.
+        days: how long it counts from its signing.
+        capabilities: what it allows.
+    """
+
+    id: Identifier
+    version: Count
+    robot: RobotId
+    days: Positive
+    capabilities: tuple[Ability, ...]
+
+
+@policy_app.command("make")
+def make(
+    site: SiteOption,
+    robot: Annotated[str, typer.Option("--robot", help="The robot.")],
+    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """Write a policy to look through: a way to each emergency place, and a call for help."""
+    model = load_site(site)
+    if robot not in model.robots:
+        raise typer.BadParameter(f"the site has no robot `{robot}`", param_hint="--robot")
+    text = "".join(_written(model, RobotId(robot)))
+    write_whole(out, text.encode("utf-8"))
+    note = "decide on every guard, and on who may call, before you sign"
+    emit({"file": str(out)}, [note, str(out)], as_json=as_json)
+    return 0
+
+
+@policy_app.command("lint")
+def lint(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int:
+    """Say everything that a gate would refuse a policy for."""
+    model = load_site(site)
+    found = lint_policy(_read(file, model, now_ms=wall_now(None).utc_ms), model)
+    lines = [f"{unsound.where}: {unsound.message}" for unsound in found]
+    emit({"findings": to_builtins(found)}, lines or ["nothing is open"], as_json=as_json)
+    return 1 if found else 0
+
+
+@policy_app.command("sign")
+def sign(
+    file: FileArgument,
+    site: SiteOption,
+    trust: Annotated[Path, typer.Option("--trust", help="The trust folder.")],
+    key: Annotated[Path | None, typer.Option("--key", help="The safety officer's key.")] = None,
+    cert: Annotated[Path | None, typer.Option("--cert", help="Its certificates.")] = None,
+    passphrase_file: PassphraseFile = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show what a robot may do without a mission, ask, and sign; an unsound one is refused."""
+    model = load_site(site, trust)
+    signer = signer_of(_SIGNER, trust, key, cert, passphrase_file)
+    policy = _read(file, model, now_ms=wall_now(None).utc_ms)
+    for unsound in lint_policy(policy, model):
+        raise MalformedError(unsound.message, where=unsound.where, reason=Reason.SCHEMA_INVALID)
+    leaf = read_trust(trust).identify(signer.chain, wall_now(None))
+    if leaf.role not in POLICY_ROLES:
+        raise RefusedError(
+            f"expected a key of a `safety_officer`, got a `{leaf.role}`'s",
+            reason=Reason.ROLE_DENIED,
+            where="--cert",
+        )
+    shown = list(_card(policy))
+    if not yes:
+        confirm_shown(shown, "Sign exactly this?", as_json=as_json)
+    target = out or file.with_suffix(".token")
+    write_whole(target, sign_object(policy, Tag.EMERGENCY_POLICY, signer))
+    payload = {"policy": to_builtins(policy), "file": str(target)}
+    emit(payload, [*(shown if yes else []), str(target)], as_json=as_json)
+    return 0
+
+
+@policy_app.command("show")
+def show(
+    token: Annotated[Path, typer.Argument(help="A signed policy.")],
+    trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show a policy; with --trust and --site, once everything that a gate asks of it holds."""
+    if (trust is None) is not (site is None):
+        raise typer.BadParameter("--trust and --site go together", param_hint="--trust")
+    policy = _claimed(token)
+    note = ["not verified: name --trust and --site"]
+    if trust is not None and site is not None:
+        at, model = wall_now(now), load_site(site, trust)
+        anchor, data = read_trust(trust), read_file(token)
+        open_emergency(data, verifier=anchor, now=at, site=model, robot=policy.robot)
+        note = []
+    payload = {"policy": to_builtins(policy), "valid": None if note else True}
+    emit(payload, [*note, *_card(policy)], as_json=as_json)
+    return 0
+
+
+@app.command("call")
+def call(
+    capability: Annotated[str, typer.Argument(help="The capability's id.")],
+    gate: GateOption = None,
+    trust: ProofOption = None,
+    key: Annotated[str | None, typer.Option("--key", help="Names the call.")] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Call a capability of the gate's emergency policy, as an operator; wait for its end."""
+    name = convert(capability, Identifier, where="CAPABILITY")
+    with connected(gate, Reading.OPERATOR, trust) as client:
+        told = client.emergency(name, key=key)
+    emit(told, list(_told_lines(told)), as_json=as_json)
+    succeeded = told["execution"]["outcome"] == "succeeded"
+    return 0 if succeeded else 1
+
+
+def _told_lines(told: dict[str, Any]) -> Iterator[str]:
+    execution = told["execution"]
+    if told["outcome"] != "accept":
+        yield f"{told['capability']}: refused: {', '.join(told['reasons'] + told['hazards'])}"
+        for found in told["findings"]:
+            yield f"  {found['field']}: expected {found['expected']}, got {found['got']}"
+        return
+    why = f" ({', '.join(execution['reasons'])})" if execution["reasons"] else ""
+    yield f"{told['capability']}: {execution['outcome']}{why}"
+    if not execution["recorded"]:
+        yield "  WARNING: nobody could record how it ended"
+
+
+def _claimed(token: Path) -> EmergencyPolicy:
+    """Return what a token says, without any claim that it is authentic.
+
+    Raises:
+        MalformedError: no canonical token of an emergency policy.
+    """
+    read = read_token(read_file(token))
+    if read.kind is not Tag.EMERGENCY_POLICY:
+        raise MalformedError(
+            f"expected a token of kind `{Tag.EMERGENCY_POLICY}`, got `{read.kind}`",
+            where="token.kind",
+            reason=Reason.WRONG_KIND,
+        )
+    return decode(unb64(read.payload, where="token.payload"), EmergencyPolicy, where="emergency")
+
+
+def _read(file: Path, site: Site, *, now_ms: int) -> EmergencyPolicy:
+    """Return what people wrote as it is signed: quantities in units, digests filled in.
+
+    Raises:
+        MalformedError: not a policy as people write it.
+        ClarificationError: a quantity without its unit.
+    """
+    where = str(file)
+    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    if form.robot not in site.robots:
+        raise MalformedError(f"the site has no robot `{form.robot}`", where=f"{where}:robot")
+    capabilities = [
+        _capability(ability, site, where=f"{where}:capabilities[{number}]")
+        for number, ability in enumerate(form.capabilities)
+    ]
+    return convert(
+        {
+            "schema": "authguard-r/emergency-policy/1",
+            "id": form.id,
+            "version": form.version,
+            "robot": form.robot,
+            "profile": profile_digest(site.robots[form.robot].profile),
+            "site": site_digest(site),
+            "not_before": to_timestamp(now_ms),
+            "expiry": to_timestamp(now_ms + form.days * _DAY_MS),
+            "capabilities": capabilities,
+        },
+        EmergencyPolicy,
+        where=where,
+    )
+
+
+def _capability(ability: Ability, site: Site, *, where: str) -> Any:
+    model = site.vocabulary.get(ability.type)
+    units = {} if model is None else {name: kind.unit for name, kind in model.params.items()}
+    params = {
+        name: to_integer(value, units[name], where=f"{where}.params.{name}")
+        if name in units
+        else value
+        for name, value in ability.params.items()
+    }
+    guards = tuple(
+        Guard(
+            variable=condition.variable,
+            comparison=condition.comparison,
+            value=condition.value,
+            max_age_ms=to_integer(condition.max_age, "ms", where=f"{where}.guards.max_age"),
+        )
+        for condition in ability.guards
+    )
+    return to_builtins(
+        {
+            **{name: getattr(ability, name) for name in _SAME},
+            "params": params,
+            "guards": guards,
+            "callers": sorted(ability.callers),
+            "without": sorted(ability.without),
+            "max_ms": to_integer(ability.max, "ms", where=f"{where}.max"),
+            "place_max_age_ms": to_integer(
+                ability.place_max_age, "ms", where=f"{where}.place_max_age"
+            ),
+            **({} if ability.destination is None else {"destination": ability.destination}),
+        }
+    )
+
+
+_SAME = ("id", "aim", "type", "tool", "regions", "per_hour", "after_stop", "past_safety")
+
+
+def _card(policy: EmergencyPolicy) -> Iterator[str]:
+    """Say what a policy allows, capability by capability."""
+    yield f"{policy.id} version {policy.version}: {policy.robot}, until {policy.expiry}"
+    for capability in policy.capabilities:
+        yield from _ability_lines(capability)
+
+
+def _ability_lines(capability: Capability) -> Iterator[str]:
+    goal = f" to {capability.destination}" if capability.destination else ""
+    params = "".join(f", {name} {value}" for name, value in sorted(capability.params.items()))
+    yield f"  {capability.id}: {capability.type} with {capability.tool}{goal}{params}"
+    yield f"    called by {', '.join(capability.callers)}, {capability.per_hour} times an hour"
+    for guard in capability.guards:
+        yield (
+            f"    while {guard.variable} {guard.comparison} {guard.value}, "
+            f"at most {guard.max_age_ms} ms old"
+        )
+    if capability.regions:
+        yield f"    within {', '.join(capability.regions)}"
+    yield f"    without {', '.join(capability.without) or 'nothing missing'}"
+    if capability.after_stop:
+        yield "    ALSO WHILE AN OPERATOR'S STOP STANDS"
+    if capability.past_safety:
+        yield "    ALSO WHEN THE SAFETY GATE CALLS IT UNSAFE"
+
+
+def _written(site: Site, robot: RobotId) -> Iterator[str]:
+    """Return a policy to look through, in YAML."""
+    yield f"id: {robot}-emergency\nversion: 1\nrobot: {robot}\ndays: 90\ncapabilities:\n"
+    tools = site.robots[robot].profile.tools
+    ways = [
+        (kind, model)
+        for kind, model in site.vocabulary.items()
+        if model.moves and "destination" in model.fields and tools.get(kind)
+    ]
+    places = sorted(site.emergency.places) if site.emergency is not None else []
+    for place in places if ways else ():
+        kind, model = ways[0]
+        params = ", ".join(
+            f"{name}: {min(300, p.high)} {p.unit}" for name, p in model.params.items()
+        )
+        yield (
+            f"  - id: go-{place}\n    aim: safe_place\n    type: {kind}\n"
+            f"    tool: {tools[kind][0]}\n    destination: {place}\n    params: {{{params}}}\n"
+            f"    regions: [{', '.join(sorted(site.regions))}]\n    place_max_age: 500 ms\n"
+            f"{_GUARDED}    max: 5 min\n    per_hour: 2\n"
+        )
+    if tools.get(ActionType("announce")):
+        yield (
+            f"  - id: call-help\n    aim: call_help\n    type: announce\n"
+            f"    tool: {tools[ActionType('announce')][0]}\n{_GUARDED}"
+            "    max: 10 s\n    per_hour: 10\n"
+        )
+
+
+#: Somebody who knows the robot decides what an emergency is: this is one that shows.
+_GUARDED = (
+    "    guards:\n"
+    "      - {variable: battery_permille, comparison: le, value: 150, max_age: 500 ms}\n"
+    "    callers: [operator, planner]\n    without: [mission]\n"
+)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard estimator`: signs what the symbolic robot's sensors say, for its gate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from authguard_r.cli.inputs import JsonFlag, TrustOption, wall_now
+from authguard_r.cli.out import emit
+from authguard_r.cli.robot import RunOption
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.core.errors import AuthenticityError
+from authguard_r.core.identifiers import RobotId, is_identifier
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.certificate import Role
+from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.trust import read_trust
+
+
+def estimator_command(
+    robot: Annotated[str, typer.Option("--robot", help="Whose state it attests.")],
+    run: RunOption,
+    trust: TrustOption,
+    key: Annotated[Path, typer.Option("--key", help="The estimator's private key.")],
+    cert: Annotated[Path, typer.Option("--cert", help="Its certificate.")],
+    passphrase_file: PassphraseFile = None,
+    rate: Annotated[
+        int, typer.Option("--rate", min=1, max=200, help="Most snapshots in a second.")
+    ] = 20,
+    as_json: JsonFlag = False,
+) -> int:
+    """Sign the robot's raw sensor values and send them to its gate until SIGTERM."""
+    from authguard_r.sim.estimator import run_estimator
+
+    if not is_identifier(robot):
+        raise typer.BadParameter("expected an identifier", param_hint="--robot")
+    rid = RobotId(robot)
+    signer = open_signer(key, cert, passphrase_file)
+    _require_estimator(signer, trust, rid, cert)
+
+    def ready() -> None:
+        told = {"ready": True, "robot": rid, "role": "estimator"}
+        emit(told, [f"ready: the gate of {rid} takes snapshots"], as_json=as_json)
+
+    run_estimator(rid, signer, run, trust=lambda: read_trust(trust), rate_hz=rate, ready=ready)
+    return 0
+
+
+def _require_estimator(signer: FileSigner, trust: Path, rid: RobotId, cert: Path) -> None:
+    """Require a key that the gate takes snapshots of, now and not at each of them.
+
+    Raises:
+        AuthenticityError: the certificate does not hold, or is not this robot's estimator's.
+    """
+    leaf = read_trust(trust).identify(signer.chain, wall_now(None))
+    if leaf.role is not Role.ESTIMATOR or leaf.robot != rid:
+        raise AuthenticityError(
+            f"expected the certificate of an estimator of `{rid}`",
+            reason=Reason.ROLE_DENIED,
+            where=str(cert),
+        )

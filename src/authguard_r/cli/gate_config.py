@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard gate-config`: who may be what at a gate, written, shown, signed.
+
+People name users, a gate knows numbers: names are looked up here, on the machine that the gate
+runs on, and shown before anybody signs. How-to: docs/howto/gate-config.md
+"""
+
+from __future__ import annotations
+
+import os
+import pwd
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from msgspec import Struct, to_builtins
+
+from authguard_r.assembly import folder_signer
+from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
+from authguard_r.cli.mission_files import write_whole
+from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.compile.draft import Quantity
+from authguard_r.compile.units import to_integer
+from authguard_r.core.encoding import Tag, decode, unb64
+from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
+from authguard_r.core.identifiers import Positive, RobotId
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import read_token, sign_object
+from authguard_r.gate.checkup.advice import Advice, in_demonstration
+from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
+from authguard_r.gate.config import CONFIG_ROLES, GateConfig, Peer, default_config, open_gate_config
+from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
+from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.shapes import Disclosure
+from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.wire.messages import ClientRole, Mode
+
+app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
+_SIGNER = "site-authority-1"
+_PLAIN = ("connections", "refusals", "disclosure")
+#: The bounds as people write them: name, the signed field, its unit.
+_BOUNDS = (
+    ("planner_silence", "planner_silence_ms", "ms"),
+    ("estimator_silence", "estimator_silence_ms", "ms"),
+    ("renew_within", "renew_within_ms", "ms"),
+    ("stand_within", "stand_within_ms", "ms"),
+    ("fold", "fold_ms", "ms"),
+    ("reserve", "reserve_bytes", "byte"),
+)
+RobotOption = Annotated[str, typer.Option("--robot", help="The robot that the gate holds.")]
+TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
+
+
+class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A configuration as people write it; a bound that is left out has its default, which is shown.
+
+    Args:
+        robot: the robot.
+        peers: roles by user, each a name or a number on the gate's machine.
+        mode: `enforce` or `shadow`.
+        connections: most connections of one user.
+        refusals: refusals in a row that raise an alert.
+        disclosure: how much of a refusal a planner is told.
+        planner_silence: as `60 s`; so are the others but `reserve`, which is as `16 MiB`.
+        estimator_silence: as above.
+        renew_within: as above.
+        stand_within: as above.
+        fold: as above.
+        reserve: disk kept free.
+    """
+
+    robot: RobotId
+    peers: dict[str | int, tuple[ClientRole, ...]]
+    mode: Mode = Mode.ENFORCE
+    connections: Positive | None = None
+    refusals: int | None = None
+    disclosure: Disclosure | None = None
+    planner_silence: Quantity | None = None
+    estimator_silence: Quantity | None = None
+    renew_within: Quantity | None = None
+    stand_within: Quantity | None = None
+    fold: Quantity | None = None
+    reserve: Quantity | None = None
+
+
+@app.command("make")
+def make(
+    robot: RobotOption,
+    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    peer: Annotated[
+        list[str] | None, typer.Option("--peer", help="USER:role,role; may be repeated.")
+    ] = None,
+    mode: Annotated[Mode, typer.Option("--mode", help="`shadow` releases nothing.")] = Mode.ENFORCE,
+    demo: Annotated[
+        bool, typer.Option("--demo", help="You are everybody; signed at once. For trying out.")
+    ] = False,
+    trust: TrustChoice = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Write a configuration to look through and sign; with --demo, a signed one."""
+    if demo == bool(peer):
+        raise typer.BadParameter("name each user, or say --demo", param_hint="--peer")
+    form = Form(robot=_robot(robot), peers=_everybody() if demo else _peers(peer or []), mode=mode)
+    config = read_form(form, where="--peer")
+    note = []
+    if demo:
+        write_whole(out, sign_object(config, Tag.GATE, _demo_signer(trust)))
+        note = ["DEMONSTRATION: one user is everybody, so nothing is apart"]
+    else:
+        out.write_text(written(config, form), encoding="utf-8")
+    emit(_payload(config, out), [*note, *card(config, demo=demo), str(out)], as_json=as_json)
+    return 0
+
+
+@app.command("sign")
+def sign(
+    file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
+    key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
+    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    passphrase_file: PassphraseFile = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    trust: TrustChoice = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show who may be what, ask, and sign. Run it where the gate runs: names are looked up here."""
+    where = str(file)
+    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
+    _require_authority(signer, trust)
+    if not yes:
+        confirm_shown(card(config), "Sign exactly this?", as_json=as_json)
+    target = out or file.with_suffix(".token")
+    write_whole(target, sign_object(config, Tag.GATE, signer))
+    shown = card(config) if yes else []
+    emit(_payload(config, target), [*shown, str(target)], as_json=as_json)
+    return 0
+
+
+@app.command("show")
+def show(
+    token: Annotated[Path, typer.Argument(help="A signed configuration.")],
+    trust: TrustChoice = None,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show who may be what; with --trust, once the site authority's signature holds."""
+    config = claimed_config(token) if trust is None else open_config(token, trust, now=now)
+    note = ["not verified: name the trust folder with --trust"] if trust is None else []
+    payload = {**_payload(config, token), "valid": None if trust is None else True}
+    emit(payload, [*note, *card(config)], as_json=as_json)
+    return 0
+
+
+def claimed_config(token: Path) -> GateConfig:
+    """Return what a token says, without any claim that it is authentic.
+
+    Raises:
+        MalformedError: no canonical token of a gate's configuration.
+    """
+    read = read_token(read_file(token))
+    if read.kind is not Tag.GATE:
+        raise MalformedError(
+            f"expected a token of kind `{Tag.GATE}`, got `{read.kind}`",
+            where="token.kind",
+            reason=Reason.WRONG_KIND,
+        )
+    return decode(unb64(read.payload, where="token.payload"), GateConfig, where="gate")
+
+
+def open_config(token: Path, trust: Path, *, now: str | None = None) -> GateConfig:
+    """Return the configuration in a token for the robot that it names, once its signature holds.
+
+    Raises:
+        AuthGuardError: unreadable, not canonical or not authentic.
+    """
+    robot = claimed_config(token).robot
+    return open_gate_config(
+        read_file(token), verifier=read_trust(trust), now=wall_now(now), robot=robot
+    )
+
+
+def read_form(form: Form, *, where: str) -> GateConfig:
+    """Return what people wrote as it is signed: users by number, sorted, quantities in units.
+
+    Raises:
+        MalformedError: an unknown user, one user twice, a role twice, a bound that cannot be.
+        ClarificationError: a quantity without its unit.
+    """
+    numbers = {who: user_number(who, where=f"{where}:peers") for who in form.peers}
+    twice = [uid for uid, count in Counter(numbers.values()).items() if count > 1]
+    if twice:
+        raise MalformedError(f"user {twice[0]} comes twice", where=f"{where}:peers")
+    peers = tuple(
+        Peer(uid=uid, roles=tuple(sorted(set(form.peers[who]))))
+        for who, uid in sorted(numbers.items(), key=lambda item: item[1])
+    )
+    plain: dict[str, Any] = to_builtins(default_config(form.robot, peers, form.mode))
+    given = {name: getattr(form, name) for name in _PLAIN}
+    given |= {
+        field: to_integer(value, unit, where=f"{where}:{name}")
+        for name, field, unit in _BOUNDS
+        if (value := getattr(form, name)) is not None
+    }
+    plain |= {name: value for name, value in given.items() if value is not None}
+    return convert(plain, GateConfig, where=where)
+
+
+def user_number(who: str | int, *, where: str) -> int:
+    """Return a user's number on this machine.
+
+    Raises:
+        MalformedError: no such name.
+    """
+    if isinstance(who, int) or (who.isascii() and who.isdigit()):
+        return int(who)
+    try:
+        return pwd.getpwnam(who).pw_uid
+    except KeyError as error:
+        raise MalformedError(
+            f"this machine has no user `{who}`; create it, or give its number", where=where
+        ) from error
+
+
+def written(config: GateConfig, form: Form) -> str:
+    """Return a configuration as people edit it."""
+    peers = "".join(f"  {who}: [{', '.join(roles)}]\n" for who, roles in form.peers.items())
+    units = {"ms": "ms", "byte": "B"}
+    bounds = "".join(
+        f"{name}: {getattr(config, field)} {units[unit]}\n" for name, field, unit in _BOUNDS
+    )
+    return (
+        f"robot: {config.robot}\nmode: {config.mode}\npeers:\n{peers}"
+        + "".join(f"{name}: {getattr(config, name)}\n" for name in _PLAIN)
+        + bounds
+    )
+
+
+def card(config: GateConfig, *, demo: bool = False) -> list[str]:
+    """Return a configuration for the person who signs it, with what is doubtful about it.
+
+    Args:
+        config: what is to be signed.
+        demo: one user is everybody on purpose, so that is doubtful and not unsafe.
+    """
+    advice = map(in_demonstration, _advice(config)) if demo else _advice(config)
+    lines = [f"gate of `{config.robot}`, mode `{config.mode}`"]
+    for peer in config.peers:
+        name = user_name(peer.uid) or "no such user here"
+        lines.append(f"  {peer.uid:6} {name:20} {', '.join(peer.roles)}")
+    bounds = (*_PLAIN, *(field for _, field, _ in _BOUNDS))
+    lines += [f"  {name} {getattr(config, name)}" for name in bounds]
+    return [*lines, *(f"{a.level.upper()} {a.message} -> {a.mend}" for a in advice)]
+
+
+def _advice(config: GateConfig) -> list[Advice]:
+    return [*user_advice(config, uid=None), *config_advice(config)]
+
+
+def _payload(config: GateConfig, file: Path) -> dict[str, Any]:
+    return {
+        "file": str(file),
+        "config": to_builtins(config),
+        "users": {str(peer.uid): user_name(peer.uid) for peer in config.peers},
+        "advice": [to_builtins(item) for item in _advice(config)],
+    }
+
+
+def _everybody() -> dict[str | int, tuple[ClientRole, ...]]:
+    """Return every role for whoever asks."""
+    return {os.geteuid(): tuple(role for role in ClientRole if role is not ClientRole.GATE)}
+
+
+def _peers(given: list[str]) -> dict[str | int, tuple[ClientRole, ...]]:
+    """Return the roles that the command line gives each user."""
+    found: dict[str | int, tuple[ClientRole, ...]] = {}
+    for text in given:
+        who, colon, names = text.rpartition(":")
+        if not colon or not who or who in found:
+            raise typer.BadParameter(
+                f"expected USER:role,role, each user once, got `{text}`", param_hint="--peer"
+            )
+        found[who] = tuple(_role(name) for name in names.split(","))
+        _require_user(who)
+    return found
+
+
+def _role(name: str) -> ClientRole:
+    roles = [str(role) for role in ClientRole if role is not ClientRole.GATE]
+    if name not in roles:
+        raise typer.BadParameter(
+            f"expected roles of {', '.join(roles)}, got `{name}`", param_hint="--peer"
+        )
+    return ClientRole(name)
+
+
+def _require_user(who: str) -> None:
+    """Refuse a user whom this machine does not know, as wrong usage: the command line named him."""
+    try:
+        user_number(who, where="--peer")
+    except MalformedError as error:
+        raise typer.BadParameter(error.message, param_hint="--peer") from error
+
+
+def _robot(name: str) -> RobotId:
+    return convert(name, RobotId, where="--robot")
+
+
+def _demo_signer(trust: Path | None) -> FileSigner:
+    """Return the key of a demonstration's site authority; no other folder holds one."""
+    if trust is None:
+        raise typer.BadParameter("name the folder with --trust", param_hint="--trust")
+    if not read_trust(trust).demo:
+        raise EnvironmentFault(
+            "the root is not for demonstration; sign with `authguard gate-config sign`",
+            reason=Reason.CERTIFICATE_INVALID,
+            where=str(trust),
+        )
+    return folder_signer(trust, _SIGNER)
+
+
+def _require_authority(signer: FileSigner, trust: Path | None) -> None:
+    """Refuse a key that every gate would refuse."""
+    leaf: Leaf | LeafClaims = (
+        read_claims(signer.chain[0])
+        if trust is None
+        else read_trust(trust).identify(signer.chain, wall_now(None))
+    )
+    if leaf.role not in CONFIG_ROLES:
+        raise RefusedError(
+            f"expected a key of a `site_authority`, got a `{leaf.role}`'s",
+            reason=Reason.ROLE_DENIED,
+            where="--cert",
+        )

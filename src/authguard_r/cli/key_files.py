@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard keys protect`, `unprotect` and `public`: what lies in a key file, and how."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import (
+    PassphraseFile,
+    ask_new_passphrase,
+    open_keys,
+    passphrase_of,
+    read_passphrase,
+)
+from authguard_r.core.errors import EnvironmentFault, RefusedError
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.envelope import is_sealed, seal, unseal
+from authguard_r.keys.pkcs11 import TokenKey
+from authguard_r.keys.signer import read_keys
+from authguard_r.keys.trust import read_file
+
+KeyFile = Annotated[Path, typer.Argument(metavar="KEYFILE", help="A file of private keys.")]
+KeyOut = Annotated[
+    Path | None, typer.Option("--out", help="Where to write it (default: in its place).")
+]
+
+
+def protect_command(
+    keyfile: KeyFile,
+    passphrase_file: PassphraseFile = None,
+    out: KeyOut = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Seal a plain key file with a passphrase: for a person's key, which services do not use."""
+    data = read_file(keyfile)
+    if is_sealed(data):
+        raise _refused("the key is sealed already", keyfile)
+    read_keys(data, keyfile)
+    new = seal(data, _new_passphrase(keyfile, passphrase_file))
+    _write(keyfile, out, new, say="sealed", as_json=as_json)
+    return 0
+
+
+def unprotect_command(
+    keyfile: KeyFile,
+    passphrase_file: PassphraseFile = None,
+    out: KeyOut = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Write a sealed key file as plain PEM; whoever reads that has the key."""
+    data = read_file(keyfile)
+    if not is_sealed(data):
+        raise _refused("the key is not sealed", keyfile)
+    passphrase = passphrase_of(passphrase_file)
+    if passphrase is None:
+        raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+    plain = unseal(data, passphrase(str(keyfile)), where=str(keyfile))
+    _write(keyfile, out, plain, say="plain", as_json=as_json)
+    return 0
+
+
+def public_command(
+    key: Annotated[Path, typer.Option("--key", help="A key file, or a `pkcs11:` URI.")],
+    passphrase_file: PassphraseFile = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Write the public keys of a key, as PEM: what its certificates are made of."""
+    keys = open_keys(key, passphrase_file)
+    form = (Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    text = b"".join(one.public_key().public_bytes(*form) for one in keys).decode("ascii")
+    for one in keys:
+        if isinstance(one, TokenKey):
+            one.close()
+    if out is not None:
+        _replace(out, text.encode("ascii"), mode=0o644)
+    emit({"public": text}, [str(out)] if out is not None else text.splitlines(), as_json=as_json)
+    return 0
+
+
+def _new_passphrase(keyfile: Path, path: Path | None) -> str:
+    if path is not None:
+        return read_passphrase(path)
+    if passphrase_of(None) is None:
+        raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+    return ask_new_passphrase(str(keyfile))
+
+
+def _write(keyfile: Path, out: Path | None, data: bytes, *, say: str, as_json: bool) -> None:
+    target = out or keyfile
+    _replace(target, data, mode=0o600)
+    left = out is not None and out.resolve() != keyfile.resolve()
+    lines = [f"{target}: {say}", *([f"{keyfile}: left as it is"] if left else [])]
+    emit({"file": str(target), "form": say}, lines, as_json=as_json)
+
+
+def _replace(path: Path, data: bytes, *, mode: int) -> None:
+    """Put a file in a path's place whole or not at all, never readable by others meanwhile.
+
+    Raises:
+        EnvironmentFault: it could not be written; what was there is there.
+    """
+    target = path.resolve()  # behind a link, the file is replaced and not the link
+    try:
+        number, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")  # mode 600
+    except OSError as error:
+        raise _unwritten(path, error) from error
+    try:
+        with os.fdopen(number, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fchmod(number, mode)
+            os.fsync(number)
+        Path(name).replace(target)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            Path(name).unlink()
+        if isinstance(error, OSError):
+            raise _unwritten(path, error) from error
+        raise
+
+
+def _unwritten(path: Path, error: OSError) -> EnvironmentFault:
+    return EnvironmentFault(
+        f"cannot write `{path}`: {error.strerror}",
+        reason=Reason.STORE_UNAVAILABLE,
+        where=str(path),
+    )
+
+
+def _refused(message: str, path: Path) -> RefusedError:
+    return RefusedError(message, reason=Reason.TRANSITION_REFUSED, where=str(path))

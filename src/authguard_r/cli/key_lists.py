@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard keys revoke`, `lists`, `show` and `authguard revocations`: who counts no more.
+
+How-to: docs/howto/keys.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from authguard_r.cli.gateway import GATE_SOCKET, GateOption, connect_as, socket_in
+from authguard_r.cli.inputs import JsonFlag, wall_now
+from authguard_r.cli.key_answers import LIST_DAYS
+from authguard_r.cli.out import emit
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.quantities import Now, to_timestamp
+from authguard_r.keys.algorithms import algorithm_of
+from authguard_r.keys.authority import next_lists, revoke, signing_here
+from authguard_r.keys.certificate import Leaf, walk
+from authguard_r.keys.files import install_list
+from authguard_r.keys.request import fingerprint
+from authguard_r.keys.revocation import RevocationList
+from authguard_r.keys.trust import (
+    ROOT_LISTS,
+    Trust,
+    pairs,
+    read_certificates,
+    read_file,
+    read_trust,
+)
+from authguard_r.wire.messages import ClientRole
+
+app = typer.Typer(help="Revocation lists, where they count.", no_args_is_help=True)
+FolderArgument = Annotated[Path, typer.Argument(help="The authority's folder.")]
+ListDays = Annotated[
+    int, typer.Option("--days", min=1, max=3_650, help="Days until the next update.")
+]
+_DAY_MS = 86_400_000
+
+
+def revoke_command(
+    folder: FolderArgument,
+    name: Annotated[
+        str | None, typer.Argument(help="A principal: everything that it has. Or an authority.")
+    ] = None,
+    serial: Annotated[
+        int | None, typer.Option("--serial", help="One certificate by its serial number.")
+    ] = None,
+    days: ListDays = LIST_DAYS,
+    as_json: JsonFlag = False,
+) -> int:
+    """On the authority's machine: sign the next list, with these certificates on it."""
+    if (name is None) is (serial is None):
+        raise typer.BadParameter("name a principal, or a serial number", param_hint="NAME")
+    lists = revoke(folder, principal=name, serial=serial, now=datetime.now(UTC), days=days)
+    return _tell_lists(folder, lists, as_json=as_json)
+
+
+def lists_command(
+    folder: FolderArgument, days: ListDays = LIST_DAYS, as_json: JsonFlag = False
+) -> int:
+    """On the authority's machine: sign every list anew before it goes stale."""
+    dead: dict[str, set[int]] = {name: set() for name in signing_here(folder)}
+    lists = next_lists(folder, dead, now=datetime.now(UTC), days=days)
+    return _tell_lists(folder, lists, as_json=as_json)
+
+
+def _tell_lists(folder: Path, lists: dict[str, RevocationList], *, as_json: bool) -> int:
+    told: list[dict[str, Any]] = [
+        {
+            "file": str(folder / "revocations" / f"{name}.json"),
+            "authority": name,
+            "number": found.number,
+            "next_update": to_timestamp(found.next_update_ms),
+            "serials": sorted(str(serial) for serial in found.serials),
+        }
+        for name, found in sorted(lists.items())
+    ]
+    lines = [
+        f"{item['file']}: number {item['number']}, {len(item['serials'])} revoked, "
+        f"until {item['next_update']}"
+        for item in told
+    ]
+    emit(
+        {"lists": told},
+        [*lines, "bring them to every machine: authguard revocations install"],
+        as_json=as_json,
+    )
+    return 0
+
+
+@app.command("install")
+def install_command(
+    files: Annotated[list[Path], typer.Argument(help="Signed lists: `revocations/NAME.json`.")],
+    gate: GateOption = None,
+    trust: Annotated[
+        Path | None,
+        typer.Option("--trust", help="A trust folder to put them in; alone, no gate is told."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Bring newer lists to a gate that runs, and to a trust folder; they are signed, so may you."""
+    told: list[dict[str, Any]] = []
+    data = [read_file(path) for path in files]
+    if gate is not None or trust is None:
+        with connect_as(socket_in(gate, GATE_SOCKET), (ClientRole.OPERATOR,)) as client:
+            told += [{"at": "gate", **client.revocations(item)} for item in data]
+    if trust is not None:
+        told += [{"at": str(trust), **_in_folder(trust, item)} for item in data]
+    lines = [
+        f"{item['at']}: {item['authority']} number {item['number']}, "
+        f"{item['serials']} revoked, until {item['next_update']}"
+        for item in told
+    ]
+    emit({"installed": told}, lines, as_json=as_json)
+    return 0
+
+
+def _in_folder(trust: Path, data: bytes) -> dict[str, Any]:
+    found = install_list(trust, data, wall_now(None))
+    return {
+        "authority": found.authority,
+        "number": found.number,
+        "next_update": to_timestamp(found.next_update_ms),
+        "serials": len(found.serials),
+    }
+
+
+def show_command(
+    folder: Annotated[Path, typer.Argument(help="A trust folder, or the authority's.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """List who may sign what, for what and until when, what does not hold, how fresh lists are."""
+    trust, now = read_trust(folder), wall_now(None)
+    paths = [*sorted(folder.glob("keys/*.cert.pem")), *sorted(folder.glob("issued/*.cert.pem"))]
+    found = [_shown(trust, path, now) for path in paths]
+    lists = [_freshness(known, now) for known in trust.lists.values()]
+    lines = [
+        f"{f['principal']:24} {f['role']:16} until {f['until']}  {f['algorithm']}, {_for(f)}"
+        + ("" if f["holds"] else f"  {f['why']}")
+        for f in found
+    ]
+    lines += [
+        f"{'list of ' + item['authority']:24} {'number ' + str(item['number']):16} "
+        f"{'STALE since' if item['left_days'] < 0 else 'until'} {item['next_update']}  "
+        f"{item['serials']} revoked"
+        for item in lists
+    ]
+    root = fingerprint(trust.roots)
+    lines.append(f"{'root':24} {root}")
+    payload = {"demo": trust.demo, "root": root, "principals": found, "lists": lists}
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+def _shown(trust: Trust, path: Path, now: Now) -> dict[str, Any]:
+    """Return what a principal's certificates say, and why they do not hold, if they do not."""
+    chains = pairs(read_certificates(path, most=2 * len(ROOT_LISTS)))
+    said = [_said(trust, chain, now) for chain in chains]
+    leaves, first = [leaf for leaf, _ in said], said[0][0]
+    end = min(leaf.not_valid_after_utc for leaf, _ in chains)
+    why = next((reason for _, reason in said if reason is not None), None)
+    return {
+        "principal": first.principal,
+        "role": str(first.role),
+        "algorithm": "+".join(algorithm_of(leaf.key) for leaf in leaves),
+        "robot": first.robot,
+        "scope": {"robots": _names(first.scope.robots), "regions": _names(first.scope.regions)},
+        "serial": str(first.serial),
+        "serials": [str(leaf.serial) for leaf in leaves],
+        "until": f"{end:%Y-%m-%dT%H:%M:%SZ}",
+        "holds": why is None,
+        "why": why,
+        "file": f"{path.parent.name}/{path.name}",
+    }
+
+
+def _said(
+    trust: Trust, chain: tuple[x509.Certificate, x509.Certificate], now: Now
+) -> tuple[Leaf, str | None]:
+    """Return what a certificate says, or said while it held, and why it does not hold now."""
+    leaf, authority = (certificate.public_bytes(Encoding.DER) for certificate in chain)
+    try:
+        return trust.identify((leaf, authority), now), None
+    except AuthGuardError as error:
+        began = int(chain[0].not_valid_before_utc.timestamp()) * 1000 + _DAY_MS
+        return walk(leaf, authority, roots=trust.roots, now=Now(began, 0)), str(error.reason)
+
+
+def _names(named: Iterable[str] | None) -> list[str] | None:
+    return None if named is None else sorted(named)
+
+
+def _for(shown: dict[str, Any]) -> str:
+    """Return a scope in words; null is every one, and an empty list is none."""
+    said = []
+    for kind in ("robot", "region"):
+        named = shown["scope"][f"{kind}s"]
+        said.append(f"every {kind}" if named is None else " ".join(named) or f"no {kind}")
+    return ", ".join(said)
+
+
+def _freshness(known: RevocationList, now: Now) -> dict[str, Any]:
+    return {
+        "authority": known.authority,
+        "number": known.number,
+        "serials": len(known.serials),
+        "next_update": to_timestamp(known.next_update_ms),
+        "left_days": (known.next_update_ms - now.utc_ms) // _DAY_MS,
+    }

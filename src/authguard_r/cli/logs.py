@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A log to read: from the store's file, or page by page from the gate that holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+from authguard_r.audit.verify import Row
+from authguard_r.cli.gateway import Beside, beside_store, connect_as, told_of
+from authguard_r.client import GateClient
+from authguard_r.core.encoding import encode, unb64
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.store.sqlite import read_rows
+from authguard_r.wire.messages import ClientRole
+
+#: Records that are asked for at a time.
+_PAGE = 1_000
+
+
+class Log(Struct, frozen=True):
+    """A log that can be read once.
+
+    Args:
+        rows: its rows in order; nobody needs to trust them.
+        gate: who tells them, None: they are the file's.
+        status: that gate's, as it said it.
+    """
+
+    rows: Iterator[Row]
+    gate: Beside | None = None
+    status: dict[str, Any] = {}
+
+
+@contextmanager
+def open_log(store: Path) -> Iterator[Log]:
+    """Yield the log of a store, told by the gate that holds it when one answers.
+
+    Raises:
+        StoreError: the file cannot be read; a gate that holds it and does not answer is named.
+        AuthGuardError: the gate does not let this user read.
+    """
+    beside = beside_store(store)
+    client = None if beside is None else _reader(Path(beside.socket))
+    if client is None:
+        with told_of(beside, store):
+            yield Log(read_rows(store))
+        return
+    with client:
+        status = client.status()
+        yield Log(_told(client, status), beside, status)
+
+
+def _reader(path: Path) -> GateClient | None:
+    """Return a client that may read, or None when nobody listens there."""
+    try:
+        return connect_as(path, (ClientRole.AUDITOR, ClientRole.OPERATOR))
+    except EnvironmentFault as error:
+        if error.where == str(path):
+            return None
+        raise
+
+
+def _told(client: GateClient, status: dict[str, Any]) -> Iterator[Row]:
+    """Yield the records that are there now; what comes meanwhile is left for the next time."""
+    first, size = 0, (status.get("log") or {}).get("size", 0)
+    while first < size:
+        page = client.records(first, min(_PAGE, size - first)).get("records")
+        if not isinstance(page, list) or not page:
+            raise MalformedError(f"expected {size} records, got {first}", where="records")
+        for item in page:
+            yield _row(item, first)
+            first += 1
+
+
+def _row(item: Any, number: int) -> Row:
+    """Return a record in the bytes that it is stored in: a log holds canonical ones alone."""
+    where = f"record {number}"
+    try:
+        record, sealed = encode(item["record"]), encode(item["sealed"])
+        return Row(int(item["seq"]), record, sealed, unb64(item["link"], where=where))
+    except (LookupError, TypeError, ValueError) as error:
+        raise MalformedError("expected {seq, record, sealed, link}", where=where) from error

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard audit prompts`: how often a person was asked for each mission."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec.structs import replace
+
+from authguard_r.audit.prompts import activated, count_prompts
+from authguard_r.audit.record import Record, read_record, read_sealed
+from authguard_r.audit.verify import Row
+from authguard_r.cli.audit import StoreArgument
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.logs import Log, open_log
+from authguard_r.cli.out import emit
+from authguard_r.core.encoding import decode
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.standing import Standing
+from authguard_r.store.sqlite import read_held
+
+
+def prompts_command(store: StoreArgument, as_json: JsonFlag = False) -> int:
+    """Say how often people were asked: signatures, approval requests and choices, per mission."""
+    with open_log(store) as log:
+        rows = list(log.rows)
+    records = [read_record(row.record, where=f"record {row.seq}") for row in rows]
+    standings = _held(store, records) if log.gate is None else _told(log, rows, records)
+    found = count_prompts(records, standings)
+    figure = float(round(found.per_mission, 3)) if found.missions else None
+    payload = {**msgspec.to_builtins(found), "asked": found.asked, "per_mission": figure}
+    asked = f"a person was asked {found.asked} time(s) for {found.missions} mission(s)"
+    parts = f"{found.signatures} signature(s), {found.requests} approval request(s)"
+    head = "no missions yet" if figure is None else f"{figure:g} prompts per mission: {asked}"
+    lines = [head, f"  {parts}, {found.choices} choice(s)"]
+    if log.gate is not None:
+        lines.append(
+            "  as the running gate tells it; of ended missions there may be one request more"
+        )
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+def _held(store: Path, records: list[Record]) -> dict[Any, Standing | None]:
+    """Return the registry's entries of the missions in a log."""
+    standings: dict[Any, Standing | None] = {}
+    for mid in activated(records):
+        held = read_held(store, "standing", mid)
+        standings[mid] = None if held is None else decode(held, Standing, where="store.standing")
+    return standings
+
+
+def _told(log: Log, rows: list[Row], records: list[Record]) -> dict[Any, Standing | None]:
+    """Return what a gate's log and status say of its missions: the last that a decision saw."""
+    standings: dict[Any, Standing | None] = dict.fromkeys(activated(records))
+    for row, record in zip(rows, records, strict=True):
+        if record.kind == "decision" and record.link.mid in standings:
+            seen = read_sealed(row.sealed, where=f"record {row.seq}").get("standing")
+            for plain in [] if seen is None else seen.value:
+                standings[record.link.mid] = _standing(plain, row.seq)
+    mission = log.status.get("mission") or {}
+    last = standings.get(mission.get("mid"))
+    if last is not None:
+        standings[last.mid] = replace(last, prompts=max(last.prompts, mission.get("prompts", 0)))
+    return standings
+
+
+def _standing(plain: Any, seq: int) -> Standing:
+    try:
+        return msgspec.convert(plain, Standing)
+    except msgspec.ValidationError as error:
+        raise MalformedError(str(error), where=f"record {seq}") from error

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard recover`: a person accepts the store that a gate found to be put back."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.assembly import folder_signer
+from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.gateway import GateOption, Reading, connected
+from authguard_r.cli.inputs import JsonFlag, wall_now
+from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption
+from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.commands import Command, StoreClaim, Verb
+from authguard_r.core.encoding import Tag, b64
+from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.identifiers import MissionId
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import FileSigner
+
+#: Who gives the order in a one-folder set-up.
+_DEMO = "operator-1"
+
+
+class _Log(msgspec.Struct):
+    size: int
+    head: str
+
+
+class _Anchor(msgspec.Struct):
+    state: str
+    store: str
+    number: int
+    why: str = ""
+    message: str = ""
+    counted: int | None = None
+
+
+class _Status(msgspec.Struct):
+    """What of a gate's status is signed, or shown to whoever signs."""
+
+    robot: str
+    log: _Log
+    anchor: _Anchor
+    mission: dict[str, Any] | None = None
+
+
+def recover_command(
+    trust: Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")],
+    gate: GateOption = None,
+    key: KeyOption = None,
+    cert: CertOption = None,
+    passphrase_file: PassphraseFile = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Let a gate go on with a store that was put back: signed, after it was looked at.
+
+    Shows what the counter had seen and what is there. What the lost part used up, nobody knows: the
+    mission stays suspended until `resume`, and every other one has to be signed anew.
+    """
+    signer = _signer(trust, key, cert, passphrase_file)
+    with connected(gate, Reading.OPERATOR, trust) as client:
+        status = _read(client.status())
+        if status.anchor.state != "put_back":
+            text = f"the store is {status.anchor.state}: there is nothing to accept"
+            raise RefusedError(text, reason=Reason.TRANSITION_REFUSED, where="store")
+        if not yes:
+            confirm_shown(_lines(status), "Go on with exactly this store?", as_json=as_json)
+        accepted = client.accept_store(_signed(status, signer))
+    emit({"accepted": accepted}, _told(status, accepted), as_json=as_json)
+    return 0
+
+
+def _signer(
+    trust: Path, key: Path | None, cert: Path | None, passphrase_file: Path | None
+) -> FileSigner:
+    if key is not None and cert is not None:
+        return open_signer(key, cert, passphrase_file)
+    if key is not None or cert is not None:
+        raise typer.BadParameter("--key and --cert go together", param_hint="--key")
+    return folder_signer(trust, _DEMO)
+
+
+def _read(said: dict[str, Any]) -> _Status:
+    try:
+        return msgspec.convert(said, _Status)
+    except msgspec.ValidationError as error:
+        raise MalformedError(f"the gate's status does not say: {error}", where="status") from error
+
+
+def _signed(status: _Status, signer: FileSigner) -> bytes:
+    """Return the order, worth two minutes, about the store as it was shown."""
+    log, anchor = status.log, status.anchor
+    plain = {"store": anchor.store, "size": log.size, "head": log.head, "number": anchor.number}
+    try:
+        claim = msgspec.convert(plain, StoreClaim)
+    except msgspec.ValidationError as error:
+        raise MalformedError(f"the gate's status does not say: {error}", where="status") from error
+    command = Command(
+        verb=Verb.ACCEPT_STORE,
+        mid=MissionId(msgspec.convert(status.robot, MissionId)),
+        version=1,
+        mission=claim.store,
+        nonce=b64(os.urandom(16)),
+        expires_ms=wall_now(None).utc_ms + ORDER_MS,
+        accepts=claim,
+    )
+    return sign_object(command, Tag.COMMAND, signer)
+
+
+def _lines(status: _Status) -> list[str]:
+    anchor, log, mission = status.anchor, status.log, status.mission
+    seen = "nothing that can be read" if anchor.counted is None else f"{anchor.counted} records"
+    held = "no mission is active in it"
+    if mission is not None:
+        held = f"mission {mission.get('mid')} version {mission.get('version')} is active in it"
+    return [
+        f"{status.robot}: {anchor.message} ({anchor.why})",
+        f"  the counter saw {seen}; this store has {log.size}",
+        f"  this store: {anchor.store}",
+        f"  ends with:  {log.head}",
+        f"  {held}: it stays suspended until it is resumed",
+        "  uses, approvals and choices of a part that is lost are not known any more",
+    ]
+
+
+def _told(status: _Status, accepted: dict[str, Any]) -> list[str]:
+    lines = [f"{status.robot}: goes on with this store, {accepted.get('size')} records"]
+    if accepted.get("mission"):
+        lines.append(f"{accepted['mission']}: {accepted.get('status')}")
+    return lines

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard risk-policy`: what the organization demands beside every mission's own policy.
+
+How-to: docs/howto/approvals.md
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from msgspec import Struct, to_builtins
+
+from authguard_r.approvals.organization import (
+    POLICY_ROLES,
+    OrganizationPolicy,
+    open_policy,
+    policy_digest,
+    require_sound_policy,
+)
+from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
+from authguard_r.cli.mission_files import write_whole
+from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.compile import spoken
+from authguard_r.compile.draft import DraftRisk
+from authguard_r.compile.grants import Words
+from authguard_r.compile.names import names_of
+from authguard_r.compile.questions import Questions
+from authguard_r.compile.totals import build_risk
+from authguard_r.core.encoding import Tag, decode, unb64
+from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.identifiers import Identifier, Positive
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import read_token, sign_object
+from authguard_r.keys.certificate import read_claims
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site.model import Site
+from authguard_r.site.source import convert, read_text, read_yaml
+
+app = typer.Typer(
+    help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True
+)
+SiteChoice = Annotated[Path, typer.Option("--site", help="The site, whose words it weighs.")]
+TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
+_DEFAULTS = """\
+  region_tags: {hazardous: 60, private: 40, public: 0, restricted: 30, staff: 5}
+  object_classes: {hazardous: 50, medicine: 5}
+  privacy: 15
+  otherwise: 60
+  tau_1: 30
+  tau_2: 60
+  t: 3
+  roles: [safety_officer, supervisor]
+  valid: 2 min
+"""
+
+
+class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A policy as people write it; `policy` is written like a draft's `risk_policy`."""
+
+    organization: Identifier
+    version: Positive
+    policy: DraftRisk
+
+
+@app.command("make")
+def make(
+    organization: Annotated[str, typer.Option("--organization", help="Whose policy it is.")],
+    site: SiteChoice,
+    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    version: Annotated[int, typer.Option("--version", help="Grows with every change.", min=1)] = 1,
+    as_json: JsonFlag = False,
+) -> int:
+    """Write a policy to edit and sign, with every action type of the site in it."""
+    types = ", ".join(f"{name}: 5" for name in sorted(load_site(site).vocabulary))
+    text = f"organization: {organization}\nversion: {version}\npolicy:\n  types: {{{types}}}\n"
+    out.write_text(text + _DEFAULTS, encoding="utf-8")
+    policy = _read(out, load_site(site))
+    emit(_payload(policy, out), [*card(policy), str(out)], as_json=as_json)
+    return 0
+
+
+@app.command("sign")
+def sign(
+    file: Annotated[Path, typer.Argument(help="A policy as `make` wrote it (YAML).")],
+    site: SiteChoice,
+    key: Annotated[Path, typer.Option("--key", help="A site authority's or safety officer's.")],
+    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    passphrase_file: PassphraseFile = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    trust: TrustChoice = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show what is demanded, ask, and sign."""
+    policy, signer = _read(file, load_site(site)), open_signer(key, cert, passphrase_file)
+    role = (
+        read_claims(signer.chain[0]).role
+        if trust is None
+        else read_trust(trust).identify(signer.chain, wall_now(None)).role
+    )
+    if role not in POLICY_ROLES:
+        raise RefusedError(
+            f"expected a key in a role of {', '.join(sorted(POLICY_ROLES))}, got a `{role}`'s",
+            reason=Reason.ROLE_DENIED,
+            where="--cert",
+        )
+    if not yes:
+        confirm_shown(card(policy), "Sign exactly this?", as_json=as_json)
+    target = out or file.with_suffix(".token")
+    write_whole(target, sign_object(policy, Tag.RISK_POLICY, signer))
+    shown = card(policy) if yes else []
+    emit(_payload(policy, target), [*shown, str(target)], as_json=as_json)
+    return 0
+
+
+@app.command("show")
+def show(
+    token: Annotated[Path, typer.Argument(help="A signed policy.")],
+    trust: TrustChoice = None,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show what is demanded; with --trust, once the signature holds."""
+    data = read_file(token)
+    if trust is None:
+        policy, note = _claimed(data), ["not verified: name the trust folder with --trust"]
+        more: dict[str, Any] = {"valid": None}
+    else:
+        opened = open_policy(data, verifier=read_trust(trust), now=wall_now(now))
+        policy, note, more = opened.policy, [], {"valid": True, "signer": opened.signer}
+    emit({**_payload(policy, token), **more}, [*note, *card(policy)], as_json=as_json)
+    return 0
+
+
+def card(policy: OrganizationPolicy) -> list[str]:
+    """Return a policy for the person who signs it."""
+    own = policy.policy
+    weights: dict[str, dict[Any, int]] = {
+        "type": own.types,
+        "region tag": own.region_tags,
+        "class": own.object_classes,
+    }
+    lines = [
+        f"risk policy of {policy.organization}, version {policy.version}, issued {policy.issued}",
+        "  counts beside every mission's own: whichever asks for more people",
+        f"  from risk {own.tau_1}: 2 people; from {own.tau_2}: {own.t} people; issuer included",
+        f"  may answer, where the mission names them too: {', '.join(own.roles)}",
+        f"  a request lives {spoken.duration(own.valid_ms)} at most",
+        f"  what is not listed: {own.otherwise}; each step of privacy: {own.privacy}",
+    ]
+    for what, listed in weights.items():
+        told = ", ".join(f"{name} {weight}" for name, weight in sorted(listed.items()))
+        lines += [f"  {what}: {told}"] if told else []
+    lines += [f"  {p.parameter}: {p.weight} at {p.full_scale}" for p in own.parameters]
+    lines += [f"  {s.weight} unless not {spoken.condition(s.guard)}" for s in own.states]
+    return [*lines, f"  digest {policy_digest(policy)}"]
+
+
+def _read(file: Path, site: Site) -> OrganizationPolicy:
+    """Return what people wrote as it is signed.
+
+    Raises:
+        MalformedError: a word that the site does not know, thresholds out of order.
+        ClarificationError: a number that nobody said.
+    """
+    where = str(file)
+    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    asked = Questions()
+    words = Words(site=site, names=names_of(site), rid=None, ceilings={}, asked=asked)
+    plain = build_risk(form.policy, words)
+    asked.require_none()
+    made = {
+        "schema": "authguard-r/risk-policy/1",
+        "organization": form.organization,
+        "version": form.version,
+        "issued": to_timestamp(wall_now(None).utc_ms),
+        "policy": plain,
+    }
+    return require_sound_policy(convert(made, OrganizationPolicy, where=where))
+
+
+def _claimed(data: bytes) -> OrganizationPolicy:
+    read = read_token(data)
+    if read.kind is not Tag.RISK_POLICY:
+        raise MalformedError(
+            f"expected a token of kind `{Tag.RISK_POLICY}`, got `{read.kind}`",
+            where="token.kind",
+            reason=Reason.WRONG_KIND,
+        )
+    payload = unb64(read.payload, where="token.payload")
+    return decode(payload, OrganizationPolicy, where="risk-policy")
+
+
+def _payload(policy: OrganizationPolicy, file: Path) -> dict[str, Any]:
+    return {"file": str(file), "digest": policy_digest(policy), "policy": to_builtins(policy)}

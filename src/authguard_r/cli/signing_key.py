@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where `--key` leads: a plain file, a sealed one, or hardware; and who says the passphrase."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import stat
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.envelope import MAX_PASSPHRASE
+from authguard_r.keys.pkcs11 import is_key_uri, open_key
+from authguard_r.keys.signer import (
+    FileSigner,
+    Passphrase,
+    SigningKey,
+    certified,
+    open_key_file,
+)
+from authguard_r.keys.trust import read_file
+
+PassphraseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--passphrase-file",
+        help="A file, mode 600, whose one line opens a sealed key or is the token's PIN.",
+    ),
+]
+#: Most bytes of a passphrase file: the longest passphrase in the longest spelling, and a newline.
+_MOST_BYTES = 4 * MAX_PASSPHRASE + 2
+
+
+def open_signer(key: Path, cert: Path, passphrase_file: Path | None = None) -> FileSigner:
+    """Return the signer of a `--key`, whatever it names.
+
+    Args:
+        key: a file, or a `pkcs11:` URI.
+        cert: the certificate chain.
+        passphrase_file: where the passphrase or PIN is; None: a person at the terminal says it,
+            if one is needed. Never an argument and never the environment: others can read both.
+
+    Raises:
+        EnvironmentFault: a file or token is not there, or others may read the passphrase.
+        MalformedError: a sealed file, a URI or a passphrase file is damaged.
+        AuthenticityError: the key does not open or is not its certificate's.
+    """
+    return certified(open_keys(key, passphrase_file), cert)
+
+
+def open_keys(key: Path, passphrase_file: Path | None = None) -> tuple[SigningKey, ...]:
+    """Return the keys of a `--key`, whatever it names; as `open_signer`, without certificates."""
+    passphrase = passphrase_of(passphrase_file)
+    if is_key_uri(str(key)):
+        return (open_key(str(key), passphrase),)
+    return open_key_file(key, passphrase)
+
+
+def passphrase_of(path: Path | None) -> Passphrase | None:
+    """Return who says the passphrase: the file, else a person at the terminal, else nobody."""
+    if path is not None:
+        return lambda _: read_passphrase(path)
+    return ask_passphrase if sys.stdin.isatty() else None
+
+
+def ask_passphrase(what: str) -> str:
+    """Return what a person types for a file or token; it is not shown.
+
+    Raises:
+        typer.Abort: standard input ended.
+    """
+    return _typed(f"passphrase or PIN of {what}: ")
+
+
+def ask_new_passphrase(what: str) -> str:
+    """Return what a person types twice, the same both times.
+
+    Raises:
+        typer.Abort: standard input ended.
+        MalformedError: the two differ.
+    """
+    first = _typed(f"new passphrase of {what}: ")
+    if _typed("the same again: ") != first:
+        raise MalformedError("expected the same passphrase twice", where="passphrase")
+    return first
+
+
+def read_passphrase(path: Path) -> str:
+    """Return the one line in a file that only its owner can read.
+
+    Raises:
+        EnvironmentFault: it cannot be read, or others may read it.
+        MalformedError: not one line of text.
+    """
+    data = read_file(path)
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077 or path.stat().st_uid not in {0, os.geteuid()}:
+        raise EnvironmentFault(
+            f"others can read or own it (mode {mode:o}): chmod 600 `{path}`",
+            reason=Reason.STORE_UNAVAILABLE,
+            where="--passphrase-file",
+        )
+    try:
+        text = data[: _MOST_BYTES + 1].decode("utf-8").removesuffix("\n").removesuffix("\r")
+    except UnicodeDecodeError as error:
+        raise MalformedError("expected UTF-8", where="--passphrase-file") from error
+    if not text or len(data) > _MOST_BYTES or not text.isprintable():
+        raise MalformedError("expected one line of text", where="--passphrase-file")
+    return text
+
+
+def _typed(question: str) -> str:
+    try:
+        return getpass.getpass(question)
+    except EOFError as error:
+        raise typer.Abort from error

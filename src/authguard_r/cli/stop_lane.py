@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard stop-lane`: the process that serves stops and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from authguard_r.cli.inputs import JsonFlag, TrustOption
+from authguard_r.cli.out import emit
+from authguard_r.core.identifiers import RobotId
+
+
+def stop_lane_command(
+    run: Annotated[Path, typer.Option("--run", help="The run folder, with the sockets.")],
+    robot: Annotated[str, typer.Option("--robot", help="Whose lane it is.")],
+    trust: TrustOption,
+    key: Annotated[Path, typer.Option("--key", help="The gate's own key.")],
+    cert: Annotated[Path, typer.Option("--cert", help="The gate's certificate.")],
+    config: Annotated[Path, typer.Option("--config", help="The signed gate configuration.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """Serve RUN/stop.sock until SIGTERM; a gate starts one itself where none serves.
+
+    Trust, key and configuration are read once: a change of them takes a new lane.
+    """
+    from authguard_r.gate.lane.run import LaneFiles, Ready, run_lane
+
+    def say(ready: Ready) -> None:
+        line = f"{ready.socket}: stops are served for {ready.robot} (pid {ready.pid})"
+        emit(msgspec.to_builtins(ready), [line], as_json=as_json)
+
+    files = LaneFiles(run=run, robot=RobotId(robot), trust=trust, key=key, cert=cert, config=config)
+    run_lane(files, say)
+    return 0

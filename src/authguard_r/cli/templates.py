@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard mission template`: a mission signed once with holes, and who may fill them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.assembly import folder_signer
+from authguard_r.cli.gateway import Orders
+from authguard_r.cli.inputs import (
+    JsonFlag,
+    NowOption,
+    SiteOption,
+    TrustOption,
+    load_site,
+    wall_now,
+)
+from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn, write_whole
+from authguard_r.cli.orders import (
+    ORDER_MS,
+    CertOption,
+    KeyOption,
+    RobotOption,
+    StoreOption,
+    managed,
+    signer_of,
+)
+from authguard_r.cli.out import emit
+from authguard_r.cli.sign import (
+    AcceptOption,
+    IssuerCert,
+    IssuerKey,
+    Reading,
+    ShownSite,
+    SignerTrust,
+    TokenOut,
+    YesOption,
+    accepted_codes,
+    agree,
+    refuse_lint,
+    require_issuer,
+    require_shown,
+    trust_folder_of,
+    write_signed,
+)
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.commands import Command, Verb
+from authguard_r.compile.card import card_digest
+from authguard_r.compile.lint import lint_alone
+from authguard_r.core.encoding import Tag, b64, decode, digest_of
+from authguard_r.core.identifiers import Digest, MissionId
+from authguard_r.core.mission import Mission
+from authguard_r.core.token import sign_object
+from authguard_r.intake import ISSUER_ROLES
+from authguard_r.keys.certificate import Role
+from authguard_r.keys.setup import Member, add_member
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site.source import read_text, read_yaml
+from authguard_r.templates import Template, TemplateStanding, open_template, require_sound
+from authguard_r.templates.card import (
+    every_mission,
+    lint_template,
+    require_known,
+    review_template,
+)
+from authguard_r.templates.confirmation import confirm_template, confirmation_bytes
+from authguard_r.templates.derive import compile_template, template_bytes
+
+app = typer.Typer(help="Missions that are signed once and filled many times.", no_args_is_help=True)
+TemplateFile = Annotated[Path, typer.Argument(help="A template, compiled or signed.")]
+SignedTemplate = Annotated[Path, typer.Argument(help="A signed template.")]
+
+
+def read_template(path: Path) -> Template:
+    """Return a template from `compile`'s file or from a token: sound, its signature unread.
+
+    Raises:
+        MalformedError: neither.
+    """
+    template = decode(payload_of(path), Template, where="template")
+    require_sound(template)
+    return template
+
+
+def template_digest(template: Template) -> Digest:
+    """Return the digest that a signature over the template binds, and a scheduler's certificate."""
+    return digest_of(Tag.TEMPLATE, template)
+
+
+@app.command("compile")
+def compile_command(
+    draft: Annotated[Path, typer.Argument(help="A template draft (YAML).")],
+    site: SiteOption,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Turn a draft with holes into the canonical template, or ask what is open (exit 3)."""
+    plain = read_yaml(read_text(draft), where=str(draft))
+    template = compile_template(plain, load_site(site), now=wall_now(now))
+    target = out or draft.with_suffix(".template.json")
+    write_whole(target, template_bytes(template))
+    hashed = template_digest(template)
+    payload = {"file": str(target), "digest": hashed, "template": msgspec.to_builtins(template)}
+    emit(payload, [f"{target}", f"digest {hashed}"], as_json=as_json)
+    return 0
+
+
+@app.command("review")
+def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag = False) -> int:
+    """Show the card: every hole with all its values, and every mission that they make."""
+    opened = read_template(template)
+    missions = every_mission(opened)
+    reading = _read(opened, missions, site)
+    payload = {
+        "card": list(reading.card),
+        "card_digest": card_digest(reading.card),
+        "combinations": len(missions),
+        "digest": template_digest(opened),
+        "lint": lint_json(reading.findings),
+    }
+    emit(payload, reading.lines(), as_json=as_json)
+    return 0
+
+
+@app.command("sign")
+def sign_command(
+    template: Annotated[Path, typer.Argument(help="A template as `compile` wrote it.")],
+    key: IssuerKey,
+    cert: IssuerCert,
+    passphrase_file: PassphraseFile = None,
+    site: ShownSite = None,
+    accept: AcceptOption = None,
+    trust: SignerTrust = None,
+    out: TokenOut = None,
+    yes: YesOption = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show every mission of it, ask once, and sign. Every combination is held to the schema."""
+    require_shown(site, yes=yes)
+    opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
+    missions = every_mission(opened)
+    require_issuer(missions[0], signer, trust_folder_of(trust, cert))
+    reading = _read(opened, missions, site)
+    accepted = accepted_codes(accept or [], reading)
+    if unaccepted := reading.unaccepted(accepted):
+        return refuse_lint(reading, unaccepted, as_json=as_json)
+    question = f"Sign exactly this, for {opened.instances} missions?"
+    agreed = agree(reading, accepted, question, yes=yes, as_json=as_json)
+    confirmation = confirm_template(
+        opened, card=agreed.card, how=agreed.how, accepted=agreed.accepted, now=agreed.now
+    )
+    target = out or template.with_name(template.name.removesuffix(".json") + ".token")
+    token = sign_object(opened, Tag.TEMPLATE, signer)
+    beside = write_signed(target, token, confirmation_bytes(confirmation))
+    hashed = template_digest(opened)
+    payload = {
+        "file": str(target),
+        "digest": hashed,
+        "card": list(reading.card),
+        "combinations": len(missions),
+        "confirmation": {"card": None, **msgspec.to_builtins(confirmation)},
+        "confirmation_file": str(beside),
+        "lint": lint_json(reading.findings),
+    }
+    shown = reading.lines() if yes else []
+    emit(payload, [*shown, f"{target}", f"digest {hashed}"], as_json=as_json)
+    return 0
+
+
+def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) -> Reading:
+    """Return card and lint of every combination; without the site only what needs none."""
+    if site is None:
+        alone = dict.fromkeys(found for mission in missions for found in lint_alone(mission))
+        return Reading(findings=tuple(alone))
+    model = load_site(site)
+    require_known(template, model)
+    card = tuple(review_template(template, missions, model))
+    return Reading(card=card, findings=lint_template(missions, model))
+
+
+@app.command("show")
+def show_command(template: TemplateFile, as_json: JsonFlag = False) -> int:
+    """Print what a template says, without any claim that it is authentic."""
+    opened = read_template(template)
+    payload: dict[str, Any] = {
+        "template": msgspec.to_builtins(opened),
+        "digest": template_digest(opened),
+    }
+    lines = [f"{opened.template}: at most {opened.instances} missions, until {opened.not_after}"]
+    lines += [
+        f"  {name} ({hole.kind}): {', '.join(map(str, hole.values))}"
+        for name, hole in sorted(opened.holes.items())
+    ]
+    emit(payload, [*lines, f"digest {payload['digest']}", "(not verified)"], as_json=as_json)
+    return 0
+
+
+@app.command("issue")
+def issue_command(
+    template: SignedTemplate,
+    trust: TrustOption,
+    name: Annotated[str, typer.Option("--name", help="The scheduler's name.")] = "scheduler-1",
+    days: Annotated[int, typer.Option("--days", help="How long it may fill.", min=1)] = 30,
+    as_json: JsonFlag = False,
+) -> int:
+    """Write a scheduler's key and a certificate that is bound to this template (demo folder)."""
+    at = wall_now(None)
+    held = open_template(
+        read_file(template), verifier=read_trust(trust), now=at, roles=ISSUER_ROLES
+    )
+    member = Member(id=name, role=Role.SCHEDULER, robots=None, regions=None, template=held.digest)
+    add_member(trust, member, now=datetime.now(UTC), days=days)
+    signer = folder_signer(trust, name)
+    read_trust(trust).scheduled_template(signer.chain, wall_now(None))  # it holds, or says why not
+    key, cert = f"keys/{name}.key.pem", f"keys/{name}.cert.pem"
+    payload = {"scheduler": name, "template": held.digest, "key": key, "cert": cert}
+    lines = [f"{trust}: {key}  {cert}", f"may fill {held.template.template} ({held.digest})"]
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+@app.command("admit")
+def admit_command(
+    template: SignedTemplate,
+    trust: TrustOption,
+    site: SiteOption,
+    store: StoreOption,
+    robot: RobotOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Let a robot take a signed template in; its scheduler may fill it from then on."""
+    data, beside = read_file(template), beside_token(template)
+    said = read_file(beside) if beside.exists() else None
+    if said is None:
+        warn("no confirmation lies beside the token: the log will say that none was given")
+
+    def act(orders: Orders) -> TemplateStanding:
+        return orders.template(data, confirmation=said)
+
+    return _manage(store, trust, site, robot, act, as_json=as_json)
+
+
+@app.command("withdraw")
+def withdraw_command(
+    template: SignedTemplate,
+    trust: TrustOption,
+    site: SiteOption,
+    store: StoreOption,
+    key: KeyOption = None,
+    cert: CertOption = None,
+    passphrase_file: PassphraseFile = None,
+    robot: RobotOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """End a template for good, signed: no mission of it any more, the active one included."""
+    opened = read_template(template)
+    signer = signer_of(opened.mission["issuer"], trust, key, cert, passphrase_file)
+    command = Command(
+        verb=Verb.WITHDRAW,
+        mid=MissionId(opened.template),
+        version=1,
+        mission=template_digest(opened),
+        nonce=b64(os.urandom(16)),
+        expires_ms=wall_now(None).utc_ms + ORDER_MS,
+    )
+    signed = sign_object(command, Tag.COMMAND, signer)
+    return _manage(store, trust, site, robot, lambda m: m.template(signed), as_json=as_json)
+
+
+def _manage(
+    store: Path,
+    trust: Path,
+    site: Path,
+    robot: str | None,
+    act: Callable[[Orders], TemplateStanding],
+    *,
+    as_json: bool,
+) -> int:
+    """Have one act about a template done, by the gate that holds the store or on the store."""
+    held = managed(store, trust, site, robot, act=act)
+    status = "withdrawn" if held.withdrawn else "here"
+    line = f"{held.template}: {status}, {held.used} of {held.instances} missions made"
+    emit({"template": msgspec.to_builtins(held), "status": status}, [line], as_json=as_json)
+    return 0

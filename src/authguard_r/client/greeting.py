@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first two messages: who the client is, and whether it speaks to the gate that it means.
+
+A socket's path proves nothing: whoever may write to the folder can put another one there. With a
+verifier the client demands a signature over its own fresh nonce by the key of this robot's gate.
+Spec page: docs/spec/gate-protocol.md#proof
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from msgspec import Struct
+
+from authguard_r.core.encoding import Tag, unb64
+from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError
+from authguard_r.core.identifiers import Digest, Identifier, RobotId
+from authguard_r.core.ports import Verifier
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import open_token, read_token
+from authguard_r.wire.messages import PROTOCOL, ClientRole, Hello, Mode, Proof, Welcome
+
+_GATE = frozenset({"gate"})
+#: Who acts on what a gate says: a gate that releases nothing is not one to them.
+_ENFORCED = frozenset({ClientRole.PLANNER, ClientRole.CONTROLLER})
+
+
+class GateVerifier(Verifier, Protocol):
+    """A verifier that also knows whose gate a certificate speaks for; `keys.trust.Trust` is one."""
+
+    def gate_identity(self, chain: tuple[bytes, ...], now: Now) -> tuple[RobotId, Digest]:
+        """Return the robot and the profile that a gate's certificate names.
+
+        Raises:
+            AuthenticityError: the chain does not hold or is not a gate's.
+        """
+        ...
+
+
+class Greeting(Struct, frozen=True, kw_only=True):
+    """What a client says first and what it demands of the answer.
+
+    Args:
+        role: what it wants to be here.
+        client: its name in the gate's log.
+        verifier: with one, the gate proves that it holds its key.
+        robot: whose gate it must be; None takes any.
+        allow_shadow: take a gate that releases nothing; anything but a planner or a controller
+            takes it anyway.
+    """
+
+    role: ClientRole
+    client: Identifier
+    verifier: GateVerifier | None = None
+    robot: RobotId | None = None
+    allow_shadow: bool = False
+
+
+def hello(greeting: Greeting, nonce: str) -> Hello:
+    """Return the first message.
+
+    Args:
+        greeting: who asks.
+        nonce: fresh random bytes, base64url; sent only when there is somebody to verify the proof.
+    """
+    return Hello(
+        protocol=PROTOCOL,
+        role=greeting.role,
+        client=greeting.client,
+        nonce=nonce if greeting.verifier is not None else None,
+    )
+
+
+def require_welcome(welcome: Welcome, greeting: Greeting, *, nonce: str, now: Now) -> None:
+    """Require the answer that was asked for, from the gate that was meant.
+
+    Args:
+        welcome: from the peer, not believed yet.
+        greeting: what was said and is demanded.
+        nonce: the one that was sent.
+        now: the instant at which the gate's certificate must be valid.
+
+    Raises:
+        MalformedError: another protocol, role or client than was asked for.
+        AuthenticityError: not the robot that was meant, or the proof does not hold.
+        RefusedError: the gate is in shadow mode.
+    """
+    said = (welcome.protocol, welcome.role, welcome.client)
+    if said != (PROTOCOL, greeting.role, greeting.client):
+        raise MalformedError("expected the welcome of this very hello", where="welcome")
+    if greeting.robot is not None and welcome.robot != greeting.robot:
+        raise _foreign(f"expected the gate of `{greeting.robot}`, got `{welcome.robot}`'s")
+    if greeting.verifier is not None:
+        _require_proof(welcome, greeting.verifier, nonce=nonce, now=now)
+    if welcome.mode is Mode.SHADOW and greeting.role in _ENFORCED and not greeting.allow_shadow:
+        raise RefusedError(
+            "the gate is in shadow mode: it records what it would decide and releases nothing",
+            reason=Reason.TRANSITION_REFUSED,
+            where="welcome.mode",
+        )
+
+
+def _require_proof(welcome: Welcome, verifier: GateVerifier, *, nonce: str, now: Now) -> None:
+    """Require a signature over the nonce by the key whose certificate names this very robot."""
+    if welcome.proof is None:
+        raise AuthenticityError(
+            "the gate did not prove that it holds its key",
+            reason=Reason.SIGNATURE_INVALID,
+            where="welcome.proof",
+        )
+    data = welcome.proof.encode("utf-8")
+    proof, _, _ = open_token(
+        data, Proof, tag=Tag.HANDSHAKE, roles=_GATE, verifier=verifier, now=now
+    )
+    if (proof.role, proof.nonce) != (welcome.role, nonce):
+        raise AuthenticityError(
+            "the proof answers another hello",
+            reason=Reason.SIGNATURE_INVALID,
+            where="welcome.proof",
+        )
+    for endorsement in read_token(data).endorsements:
+        chain = tuple(unb64(der, where="welcome.proof") for der in endorsement.chain)
+        named, _ = verifier.gate_identity(chain, now)
+        if not named == proof.robot == welcome.robot:
+            raise _foreign(f"the proof is of `{named}`'s gate, not of `{welcome.robot}`'s")
+
+
+def _foreign(message: str) -> AuthenticityError:
+    return AuthenticityError(message, reason=Reason.ROBOT_MISMATCH, where="welcome.robot")

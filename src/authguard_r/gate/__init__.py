@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate as a process: one enforcer, many clients, a stop lane of its own."""

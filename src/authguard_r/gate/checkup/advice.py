@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a look at a set-up can find, each with its place and its mend (L7).
+
+How-to: docs/howto/deploy.md
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+
+class Level(StrEnum):
+    """How bad a finding is."""
+
+    OK = "ok"
+    WARNING = "warning"
+    UNSAFE = "unsafe"
+
+
+class Code(StrEnum):
+    """What a finding is about; stable, for programs."""
+
+    PYTHON = "PYTHON"
+    LIBRARY = "LIBRARY"
+    PLATFORM = "PLATFORM"
+    SQLITE = "SQLITE"
+    CLOCK_KEPT = "CLOCK_KEPT"
+    CLOCK_COARSE = "CLOCK_COARSE"
+    CLOCK_BEHIND = "CLOCK_BEHIND"
+    DEMO_ROOT = "DEMO_ROOT"
+    TRUST = "TRUST"
+    REVOCATIONS = "REVOCATIONS"
+    CERTIFICATE = "CERTIFICATE"
+    KEY_MODE = "KEY_MODE"
+    KEY_OWNER = "KEY_OWNER"
+    KEY_PLAIN = "KEY_PLAIN"
+    STRAY_KEY = "STRAY_KEY"
+    WRITABLE = "WRITABLE"
+    READABLE = "READABLE"
+    OWNER = "OWNER"
+    MISSING = "MISSING"
+    COUNTER = "COUNTER"
+    PATH_LONG = "PATH_LONG"
+    USER = "USER"
+    SHARED_USER = "SHARED_USER"
+    ROOT_USER = "ROOT_USER"
+    VACANT_ROLE = "VACANT_ROLE"
+    CONFIG = "CONFIG"
+    SHADOW = "SHADOW"
+    DISCLOSURE = "DISCLOSURE"
+    SILENT = "SILENT"
+    SITE = "SITE"
+    BINDING = "BINDING"
+    UNMAPPED = "UNMAPPED"
+    UNCOMPARED = "UNCOMPARED"
+    STATE_WRITING = "STATE_WRITING"
+    STORE = "STORE"
+    ANCHOR = "ANCHOR"
+    DISK = "DISK"
+
+
+#: What one folder for everything cannot help; a demonstration is told of it and goes on.
+_IN_ONE_FOLDER = frozenset(
+    {Code.DEMO_ROOT, Code.WRITABLE, Code.OWNER, Code.SHARED_USER, Code.ROOT_USER}
+)
+#: With these a gate serves stops and refuses the rest by itself; not starting would help nobody.
+_SERVED = frozenset({Code.CLOCK_BEHIND, Code.CLOCK_KEPT, Code.DISK})
+
+
+class Advice(Struct, frozen=True, kw_only=True):
+    """One thing that was looked at.
+
+    Args:
+        part: what it is about, for people.
+        level: `ok`, `warning` (works, protects less) or `unsafe` (a real gate refuses).
+        code: what was looked at, for programs.
+        message: what was found.
+        place: the file, folder or field; empty when there is none.
+        mend: what to do, a command where there is one; empty when nothing is needed.
+    """
+
+    part: str
+    level: Level
+    code: Code
+    message: str
+    place: str = ""
+    mend: str = ""
+
+
+def fine(part: str, code: Code, message: str, *, place: str = "") -> Advice:
+    """Return that something is as it must be."""
+    return Advice(part=part, level=Level.OK, code=code, message=message, place=place)
+
+
+def warning(part: str, code: Code, message: str, *, mend: str, place: str = "") -> Advice:
+    """Return that something works and protects less."""
+    return Advice(
+        part=part, level=Level.WARNING, code=code, message=message, place=place, mend=mend
+    )
+
+
+def unsafe(part: str, code: Code, message: str, *, mend: str, place: str = "") -> Advice:
+    """Return that something must be mended first."""
+    return Advice(part=part, level=Level.UNSAFE, code=code, message=message, place=place, mend=mend)
+
+
+def in_demonstration(advice: Advice) -> Advice:
+    """Return the finding as it counts where everything lies in one folder on purpose."""
+    if advice.level is Level.UNSAFE and advice.code in _IN_ONE_FOLDER:
+        return replace(advice, level=Level.WARNING)
+    return advice
+
+
+def refuses_start(advice: Advice) -> bool:
+    """True when no gate may start with this; False too for what it serves stops with."""
+    return advice.level is Level.UNSAFE and advice.code not in _SERVED

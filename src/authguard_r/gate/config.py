@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The signed configuration of one gate: who may be what here, and how much of it.
+
+The site authority signs it. Nothing in it grants an action: a role lets a client ask, the mission
+says what is granted. Absent is never unlimited: every bound has a value, and a user that is not
+named may do nothing, not even stop. Spec page: docs/spec/gate-protocol.md#configuration
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import Count, Positive, RobotId
+from authguard_r.core.ports import Verifier
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import open_token
+from authguard_r.shapes import Disclosure
+from authguard_r.wire.messages import ClientRole, Mode
+
+CONFIG_ROLES = frozenset({"site_authority"})
+
+
+class Peer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the processes of one operating-system user may be.
+
+    Args:
+        uid: the user's number, as the kernel says it of a connected socket.
+        roles: sorted and unique.
+    """
+
+    uid: Count
+    roles: Annotated[tuple[ClientRole, ...], Meta(min_length=1)]
+
+
+class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One gate's configuration.
+
+    Args:
+        robot: the robot it is for.
+        mode: `shadow` releases nothing and says so everywhere.
+        peers: who may connect, sorted by user.
+        connections: most connections of one user at a time.
+        planner_silence_ms: a planner with an active mission that says nothing for this long
+            raises an alert; 0 raises none.
+        estimator_silence_ms: no snapshot for this long raises an alert; 0 raises none.
+        refusals: refusals in a row, without a success, that raise the no-progress alert and stop
+            the robot; 0 never.
+        renew_within_ms: a controller that hears of no renewal for this long stops by itself.
+        stand_within_ms: what became of an action is unknown when the robot has not said so this
+            long after it was told to stop; the mission is suspended.
+        disclosure: how much of a refusal a planner is told.
+        fold_ms: repeats of one refusal within this time become one counted record.
+        reserve_bytes: disk kept free for outcomes, stops and management.
+    """
+
+    robot: RobotId
+    mode: Mode
+    peers: Annotated[tuple[Peer, ...], Meta(min_length=1, max_length=256)]
+    connections: Positive
+    planner_silence_ms: Count
+    estimator_silence_ms: Count
+    refusals: Count
+    renew_within_ms: Annotated[int, Meta(ge=150, le=10_000)]
+    stand_within_ms: Annotated[int, Meta(ge=100, le=60_000)]
+    disclosure: Disclosure
+    fold_ms: Count
+    reserve_bytes: Count
+
+
+def default_config(robot: RobotId, peers: tuple[Peer, ...], mode: Mode) -> GateConfig:
+    """Return the configuration with the bounds that a set-up starts with."""
+    return GateConfig(
+        robot=robot,
+        mode=mode,
+        peers=peers,
+        connections=64,
+        planner_silence_ms=60_000,
+        estimator_silence_ms=1_000,
+        refusals=10,
+        renew_within_ms=300,
+        stand_within_ms=2_000,
+        disclosure=Disclosure.FIELDS,
+        fold_ms=60_000,
+        reserve_bytes=16 << 20,
+    )
+
+
+def open_gate_config(data: bytes, *, verifier: Verifier, now: Now, robot: RobotId) -> GateConfig:
+    """Return the configuration in a token.
+
+    Raises:
+        MalformedError: no configuration token, users not sorted, or for another robot.
+        AuthenticityError: not signed by a site authority.
+    """
+    config, _, _ = open_token(
+        data, GateConfig, tag=Tag.GATE, roles=CONFIG_ROLES, verifier=verifier, now=now
+    )
+    uids = [peer.uid for peer in config.peers]
+    if sorted(set(uids)) != uids:
+        raise MalformedError(
+            "expected users sorted, one entry for each",
+            where="gate.peers",
+            reason=Reason.SCHEMA_INVALID,
+        )
+    for number, peer in enumerate(config.peers):
+        if ClientRole.GATE in peer.roles or sorted(set(peer.roles)) != list(peer.roles):
+            raise MalformedError(
+                "expected roles of clients, sorted and unique",
+                where=f"gate.peers[{number}].roles",
+                reason=Reason.SCHEMA_INVALID,
+            )
+    if config.robot != robot:
+        raise MalformedError(
+            f"expected the configuration of `{robot}`, got `{config.robot}`'s",
+            where="gate.robot",
+            reason=Reason.ROBOT_MISMATCH,
+        )
+    return config
+
+
+def roles_of(config: GateConfig, uid: int) -> frozenset[ClientRole]:
+    """Return what a user's processes may be; empty for a user that is not named."""
+    return frozenset(role for peer in config.peers if peer.uid == uid for role in peer.roles)

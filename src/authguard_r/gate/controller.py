@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate's end of the controller's connection, behind the core's port.
+
+Only a peer whose user may be the controller gets here, and it obeys only who proves the gate's
+key. Nothing waits: what the controller says arrives when it arrives, and what it fails to say in
+time is a reason to stop. Implements `core.ports.Controller`.
+Spec page: docs/spec/gate-protocol.md#controllers
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from authguard_r.core.action import Action
+from authguard_r.core.errors import ControllerError
+from authguard_r.core.identifiers import Digest, ParameterId
+from authguard_r.core.lease import Lease
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome, Spend
+from authguard_r.wire.messages import (
+    Begun,
+    Close,
+    Dispatch,
+    Ended,
+    Forward,
+    Halt,
+    Kind,
+    Renew,
+    Stood,
+)
+
+#: Sends one message to the controller, with a number that its answer carries back.
+Send = Callable[[Kind, object, int], None]
+#: A stop counts as heard of when the lane says that it has told of all of its own; where there is
+#: no lane to ask, after this, in milliseconds.
+EXPLAIN_WITHIN_MS = 500
+#: The parameter that says how long a stream lasts, and how much later its controller stops it.
+DURATION = ParameterId("duration_ms")
+SLACK_MS = 500
+_VELOCITY = ("_mm_s", "_urad_s")
+#: A controller says within this that it began, in milliseconds.
+BEGIN_WITHIN_MS = 1_000
+
+
+def is_stream(action: Action) -> bool:
+    """True for a velocity for a time: what samples may change while it runs."""
+    others = [name for name in action.params if name != DURATION]
+    timed = DURATION in action.params
+    return timed and bool(others) and all(name.endswith(_VELOCITY) for name in others)
+
+
+def longest_ms(action: Action, lease: Lease, now_ms: int) -> int:
+    """Return how long a controller may go on at most; a stream no longer than it was asked for."""
+    left_ms = max(0, lease.until_mono_ms - now_ms)
+    return min(left_ms, action.params[DURATION] + SLACK_MS) if is_stream(action) else left_ms
+
+
+class Unexplained(Struct, frozen=True):
+    """A stop that the controller tells of, until the lane has had time to say whose it was."""
+
+    stops: int
+    since_ms: int
+
+
+class RemoteFlight:
+    """One dispatched action, as far as the controller has told (`core.ports.Flight`)."""
+
+    def __init__(self, dispatched_ms: int) -> None:
+        self.dispatched_ms = dispatched_ms
+        self.begun = False
+        self._ended: Ended | None = None
+        self._why = ""
+
+    def outcome(self) -> Outcome | None:
+        """Return how it ended, or None while nobody has said so."""
+        return None if self._ended is None else self._ended.outcome
+
+    def used(self) -> Spend:
+        """Return what it used; nothing is known before its end."""
+        return Spend() if self._ended is None else self._ended.used
+
+    def why(self) -> str:
+        """Return why it did not go as it should, or why nobody can know any more."""
+        return self._why if self._ended is None else self._ended.why
+
+    def end(self, message: Ended) -> None:
+        """Take in how it ended; the first word counts."""
+        self._ended = self._ended or message
+
+    def doubt(self) -> None:
+        """Say that the controller cannot be relied on for this action any more."""
+        self._why = Reason.CONTROLLER_FAILED
+
+
+class RemoteController:
+    """The one controller of the robot, connected or not.
+
+    Args:
+        renew_within_ms: sent with each action; the controller's own watch.
+    """
+
+    def __init__(self, *, renew_within_ms: int) -> None:
+        self._mono_ms: Callable[[], int] = int
+        self._admit: Callable[[Action, Lease], None] = lambda _action, _lease: None
+        self._renew_within_ms = renew_within_ms
+        self._send: Send | None = None
+        self._flights: dict[Digest, RemoteFlight] = {}
+        self._life = 0
+        self._stops = 0
+        self._halts = 0
+        self._halting = False
+        self._unexplained: Unexplained | None = None
+        self._ask: Callable[[Callable[[], None]], bool] = lambda _: False
+
+    def admit_with(self, admit: Callable[[Action, Lease], None]) -> None:
+        """Let this refuse an action at the last moment, by raising `ControllerError`."""
+        self._admit = admit
+
+    def keep_time(self, mono_ms: Callable[[], int]) -> None:
+        """Measure on this clock from now on: the one that leases are measured on."""
+        self._mono_ms = mono_ms
+
+    @property
+    def connected(self) -> bool:
+        """True while a controller is connected."""
+        return self._send is not None
+
+    def attach(self, send: Send) -> None:
+        """Take a controller's connection.
+
+        Raises:
+            ControllerError: there is one already; the first keeps its place.
+        """
+        if self._send is not None:
+            raise ControllerError("a controller is connected already")
+        self._send, self._halting = send, False
+        self._count_anew(0)  # until it says which start of its own it counts from
+
+    @property
+    def at_rest(self) -> bool:
+        """True when the robot has said that it stands, and why it was stopped is known."""
+        return self._send is None or (
+            not self._halting and self._known_stops() >= 0 and self._unexplained is None
+        )
+
+    def detach(self) -> None:
+        """Let a connection go that ended: whatever ran is in doubt from now on."""
+        self._send = None
+        for flight in self._flights.values():
+            flight.doubt()
+
+    def dispatch(self, action: Action, lease: Lease) -> RemoteFlight:
+        """Send a released action.
+
+        Raises:
+            ControllerError: no controller is connected.
+        """
+        if self._send is None:
+            raise ControllerError("no controller is connected")
+        self._admit(action, lease)
+        flight = self._flights[lease.ticket] = RemoteFlight(self._mono_ms())
+        self._send(
+            Kind.DISPATCH,
+            Dispatch(
+                ticket=lease.ticket,
+                # the effect alone: what differs between two proposals of it is not for an executor
+                action=replace(action, provenance={}, meta=None),
+                max_ms=longest_ms(action, lease, self._mono_ms()),
+                renew_within_ms=self._renew_within_ms,
+                life=self._life,
+                stops=self._known_stops(),
+            ),
+            0,
+        )
+        return flight
+
+    def stop(self) -> None:
+        """Brake and hold; a controller that is gone stops by itself."""
+        if self._send is not None:
+            self._halts, self._halting = self._halts + 1, True
+            self._send(Kind.HALT, Halt(), self._halts)
+
+    def renew(self, ticket: Digest) -> None:
+        """Say that the lease still holds."""
+        if self._send is not None:
+            self._send(Kind.RENEW, Renew(ticket=ticket), 0)
+
+    def forward(self, ticket: Digest, params: dict[str, int]) -> None:
+        """Send a checked sample of a stream."""
+        if self._send is not None:
+            self._send(Kind.FORWARD, Forward(ticket=ticket, params=params), 0)
+
+    def close(self, ticket: Digest) -> None:
+        """Say that a stream is over."""
+        if self._send is not None:
+            self._send(Kind.CLOSE, Close(ticket=ticket), 0)
+
+    def heard_of(self, life: int, stops: int) -> None:
+        """Note that the gate knows of every stop up to this one and why it was.
+
+        Args:
+            life: the start of a controller that is counted from. Of another start, or of none that
+                is known, a count says nothing: it could be larger than all that were since.
+            stops: how many there were.
+        """
+        if life == self._life != 0:
+            self._stops = max(self._stops, stops)
+
+    def hear(self, message: Begun | Ended | Stood) -> None:
+        """Take in what the controller says."""
+        if isinstance(message, Stood):
+            self._halting = False
+            if message.life != self._life:
+                self._count_anew(message.life)
+            if message.stops > self._stops:  # ours, its own, or the lane's: the lane tells
+                self._unexplained = Unexplained(message.stops, self._mono_ms())
+                self._ask(partial(self._explained, self._unexplained))
+            return
+        flight = self._flights.get(message.ticket)
+        if flight is None:
+            return  # of an action that was settled already
+        if isinstance(message, Begun):
+            flight.begun = True
+        else:
+            flight.end(message)
+
+    def check(self) -> None:
+        """Doubt every action whose begin nobody confirmed in time."""
+        late = self._mono_ms() - BEGIN_WITHIN_MS
+        for flight in self._flights.values():
+            if not flight.begun and flight.dispatched_ms < late:
+                flight.doubt()
+
+    def ask_with(self, ask: Callable[[Callable[[], None]], bool]) -> None:
+        """Ask the stop lane about stops from now on.
+
+        Args:
+            ask: asks whether everything that the lane has stopped was heard of; calls back when it
+                was; False when there is no lane to ask.
+        """
+        self._ask = ask
+
+    def _known_stops(self) -> int:
+        """Return the last stop that the gate has heard of, and knows the reason of."""
+        waiting = self._unexplained
+        if waiting is None or self._mono_ms() - waiting.since_ms < EXPLAIN_WITHIN_MS:
+            return self._stops
+        explained = partial(self._explained, waiting)
+        if not self._ask(explained):  # nobody can have stopped it through a lane
+            explained()
+        return self._stops
+
+    def _explained(self, asked: Unexplained) -> None:
+        """Count a stop as heard of: whoever asked for it, it has had its effect.
+
+        Only the one that the lane was asked about: it may have stopped the robot again since, and
+        another controller counts from its own start.
+        """
+        if self._unexplained is asked:
+            self.heard_of(self._life, asked.stops)
+            self._unexplained = None
+
+    def _count_anew(self, life: int) -> None:
+        """Go by no count of before: another controller, or another start, counts from 0."""
+        self._life, self._stops, self._unexplained = life, 0, None
+
+    def forget(self, ticket: Digest) -> None:
+        """Drop a settled action."""
+        self._flights.pop(ticket, None)
+
+
+class ShadowFlight:
+    """An action that the old road carries out: assumed to succeed (`core.ports.Flight`)."""
+
+    def outcome(self) -> Outcome:
+        """Return what is assumed."""
+        return Outcome.SUCCEEDED
+
+    def used(self) -> Spend:
+        """Return nothing: nobody measures it here."""
+        return Spend()
+
+
+class ShadowController:
+    """Stands where a gate in shadow mode has no controller: nothing is released to anybody."""
+
+    def dispatch(self, action: Action, lease: Lease) -> ShadowFlight:  # noqa: ARG002
+        """Return the assumption."""
+        return ShadowFlight()
+
+    def stop(self) -> None:
+        """Do nothing: this gate moves nothing."""

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One record in words: what was asked, by whom, why it was refused, and what would allow it.
+
+For an operator or an auditor, never for the planner. Works on the record alone; the smallest
+signed change needs the mission that the record names. Spec page: docs/reference/cli.md
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import msgspec
+
+from authguard_r.audit.record import NONE, Record, Sealed
+from authguard_r.compile.change import smallest_change, to_draft
+from authguard_r.core.action import Action
+from authguard_r.core.encoding import b64
+from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.identifiers import GrantId
+from authguard_r.core.mission import Mission
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
+from authguard_r.gate.mends import mends_of
+from authguard_r.report import PROPOSAL
+
+#: How long the proposed next version would be valid, in milliseconds.
+_VALID_MS = 1_800_000
+#: How a person gets the smallest signed change as a draft.
+_DRAFT = "authguard explain {} --draft FILE"
+
+
+def explanation(
+    seq: int, record: Record, sealed: dict[str, Sealed], *, mission: Mission | None
+) -> dict[str, Any]:
+    """Return what a record says, as data and as lines for people.
+
+    Args:
+        seq: its number.
+        record: the record.
+        sealed: the values beside it; those that were destroyed are simply not told.
+        mission: the mission that it names, when that is at hand.
+
+    Raises:
+        MalformedError: the values are not what such a record holds: it is damaged.
+    """
+    try:
+        return _explained(seq, record, sealed, mission)
+    except (AttributeError, LookupError, StopIteration, TypeError, ValueError) as error:
+        raise MalformedError(
+            f"expected what such a record holds: {error}", where=f"record {seq}"
+        ) from error
+
+
+def _explained(
+    seq: int, record: Record, sealed: dict[str, Sealed], mission: Mission | None
+) -> dict[str, Any]:
+    opened = record.open
+    values = {name: item.value for name, item in sealed.items()}
+    action = values.get("action")
+    who = opened.get("client") or opened.get("by") or _planner(action) or NONE
+    why = _why(opened, values)
+    change = _change(record, values, mission)
+    influences = values.get("influences", [])
+    mends = mends_of(opened.get("reasons") or ())
+    return {
+        "seq": seq,
+        "kind": record.kind,
+        "time": to_timestamp(record.link.time_ms),
+        "decision": record.link.decision,
+        "what": _what(record, action),
+        "who": who,
+        "why": why,
+        "influenced_by": influences,
+        "mends": mends,
+        "smallest_change": change,
+        "text": _lines(seq, record, who=who, what=_what(record, action), why=why)
+        + [f"  influenced by {i['channel']}: `{i['value']}`" for i in influences]
+        + [f"  to do: {mend}" for mend in mends]
+        + ([f"  a signed next version could allow it: {_DRAFT.format(seq)}"] if change else []),
+    }
+
+
+def is_refused_proposal(record: Record) -> bool:
+    """True for what a planner proposed and a gate refused, with or without a decision.
+
+    Whoever asks why the robot does not move does not mean an order or a question of their own.
+    """
+    if record.kind == "refusal":
+        return record.link.decision == "reject" and record.open.get("what") == PROPOSAL
+    if record.kind != "decision":
+        return False
+    safety = record.open.get("safety")
+    unsafe = isinstance(safety, dict) and safety.get("safe") is False
+    return record.link.decision == "reject" or unsafe
+
+
+def no_record(seq: int | None) -> RefusedError:
+    """Return the error of a record that is not there.
+
+    Args:
+        seq: which was asked for; None: the last refused proposal.
+    """
+    told = "no proposal was refused lately: name a record" if seq is None else "no such record"
+    return RefusedError(told, reason=Reason.VALUE_OUT_OF_RANGE, where="seq")
+
+
+def _planner(action: Any) -> str | None:
+    meta = action.get("meta") if isinstance(action, dict) else None
+    return meta.get("planner") if isinstance(meta, dict) else None
+
+
+def _what(record: Record, action: Any) -> str:
+    if not isinstance(action, dict):
+        return _named(record)
+    names = ("object", "source", "destination")
+    fields = [f"{name} {action[name]}" for name in names if action.get(name)]
+    fields += [f"{name}={value}" for name, value in (action.get("params") or {}).items()]
+    return " ".join([str(action.get("type")), *fields])
+
+
+def _named(record: Record) -> str:
+    """Return what a record without an action is about."""
+    opened, mid = record.open, record.link.mid
+    if record.kind == "refusal":
+        return ", ".join(map(str, opened.get("reasons", []))) or record.kind
+    if record.kind == "outcome" and "ticket" in opened:
+        return f"release {opened['ticket']}"
+    if record.kind == "management" and mid != NONE:
+        version = f" version {opened['version']}" if "version" in opened else ""
+        return f"mission {mid}{version}"
+    return str(opened.get("what") or opened.get("verb") or record.kind)
+
+
+def _why(opened: dict[str, Any], values: dict[str, Any]) -> list[str]:
+    findings = values.get("findings") or []
+    told = [
+        f"{f['reason']} at {f['field']}: expected {f['expected']}, got {f['got']}" for f in findings
+    ]
+    if not told and "message" in values:
+        at = f" (at {values['where']})" if values.get("where") else ""
+        told = [f"{code}: {values['message']}{at}" for code in opened.get("reasons", [])]
+    safety = opened.get("safety")
+    hazards = safety.get("hazards", []) if isinstance(safety, dict) else []
+    return told + [f"safety gate: {hazard}" for hazard in hazards]
+
+
+def _lines(seq: int, record: Record, *, who: str, what: str, why: list[str]) -> list[str]:
+    at = to_timestamp(record.link.time_ms)
+    said = list(dict.fromkeys((record.kind, record.link.decision, what)))
+    named = " ".join(said[:2]) + "".join(f": {word}" for word in said[2:])
+    by = "" if who == NONE else f" (by {who})"
+    head = f"record {seq}, {at}: {named}{by}"
+    return [head, *(f"  {line}" for line in why)]
+
+
+def _change(record: Record, values: dict[str, Any], mission: Mission | None) -> Any:
+    """Return the smallest signed change that would allow a refused action, as a draft."""
+    grant = record.open.get("grant", NONE)
+    if mission is None or record.link.decision != "reject" or grant == NONE:
+        return None
+    action = msgspec.convert(values.get("action"), Action)
+    reasons = tuple(Reason(code) for code in record.open.get("reasons", ()))
+    amended = smallest_change(
+        mission,
+        action,
+        reasons=reasons,
+        grant=GrantId(grant),
+        digest=record.open["mission"],
+        nonce=b64(os.urandom(16)),
+        expiry=to_timestamp(record.link.time_ms + _VALID_MS),
+    )
+    return None if amended is None else to_draft(amended)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a stop lane holds of its run folder: the socket, and the right to serve it.
+
+The right is a lock on the file with the process's number; the kernel takes it back when the
+process dies, however it dies. Spec page: docs/spec/gate-protocol.md#stop-lane
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import socket
+import stat
+from pathlib import Path
+
+from msgspec import Struct
+
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.reasons import Reason
+
+SOCKET, PID, SPOOL = "stop.sock", "stop-lane.pid", "stops.spool"
+#: Stops that suspend the mission have a file of their own: nobody else's can fill it.
+FIRST_SPOOL = "operator-stops.spool"
+#: Holds the name of the last lane that served here.
+EPOCH = "stop-lane.epoch"
+#: Connections that wait to be taken.
+_QUEUE = 1_024
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """What a lane holds of its run folder.
+
+    Args:
+        run: the folder.
+        listener: bound and listening.
+        lock: the locked file with the process's number.
+    """
+
+    run: Path
+    listener: socket.socket
+    lock: int
+
+
+def take_place(run: Path) -> Place:
+    """Return the run folder's stop socket, listening, and held against a second lane.
+
+    A socket that nobody serves any more is replaced. The folder decides who reaches the socket:
+    its group may connect (mode 0660), and who is in it is asked of the kernel.
+
+    Raises:
+        EnvironmentFault: a lane serves here already, or the folder cannot be used.
+    """
+    path = run / SOCKET
+    if not run.is_dir():
+        raise EnvironmentFault(
+            f"expected a folder for sockets, got `{run}`",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(run),
+        )
+    try:
+        lock = _hold(run / PID)
+    except OSError as error:
+        raise _unusable(error, run / PID) from error
+    if is_served(path):
+        os.close(lock)
+        raise _taken(path)
+    try:
+        return Place(run=run, listener=_listen(path), lock=lock)
+    except OSError as error:
+        os.close(lock)
+        raise _unusable(error, path) from error
+
+
+def leave_place(place: Place) -> None:
+    """Remove the socket and the file with the process's number."""
+    place.listener.close()
+    for name in (SOCKET, PID):
+        (place.run / name).unlink(missing_ok=True)
+    os.close(place.lock)
+
+
+def is_served(path: Path) -> bool:
+    """True when a process listens at the socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.settimeout(0)
+        try:
+            asking.connect(str(path))
+        except BlockingIOError:
+            return True  # its queue is full: somebody is there
+        except OSError:
+            return False
+    return True
+
+
+def _hold(path: Path) -> int:
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.ftruncate(file, 0)
+        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+    except BlockingIOError as error:
+        os.close(file)
+        raise _taken(path) from error
+    except BaseException:
+        os.close(file)
+        raise
+    return file
+
+
+def _listen(path: Path) -> socket.socket:
+    with contextlib.suppress(FileNotFoundError):
+        if stat.S_ISSOCK(path.lstat().st_mode):
+            path.unlink()  # of a lane that is dead
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        listener.settimeout(0)
+        mask = os.umask(0o177)  # nobody connects before the group is set
+        try:
+            listener.bind(str(path))
+        finally:
+            os.umask(mask)
+        with contextlib.suppress(PermissionError):
+            os.chown(path, -1, path.parent.stat().st_gid)
+        path.chmod(0o660)
+        listener.listen(_QUEUE)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _taken(path: Path) -> EnvironmentFault:
+    return EnvironmentFault(
+        "a stop lane serves here already", reason=Reason.STORE_UNAVAILABLE, where=str(path)
+    )
+
+
+def _unusable(error: OSError, path: Path) -> EnvironmentFault:
+    return EnvironmentFault(
+        f"the stop lane cannot serve here: {error.strerror or error}",
+        reason=Reason.STORE_UNAVAILABLE,
+        where=str(path),
+    )

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who has not been heard of, and who gets nowhere: alerts, which change no authority.
+
+False warnings and endless replanning stop a robot as surely as an attack on its motors does; the
+gate cannot make a planner useful, but it can tell somebody.
+Source: the liveness question of section "Problem Formulation". Spec page:
+docs/spec/gate-protocol.md#alerts
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from authguard_r.core.identifiers import Identifier
+from authguard_r.core.standing import Outcome
+from authguard_r.gate.config import GateConfig
+from authguard_r.report import Report
+from authguard_r.wire.messages import ClientRole
+
+#: Alerts that `status` shows.
+_SHOWN = 20
+#: Clients whose refusals are counted; a further one takes the place of the oldest.
+_COUNTED = 1_024
+#: What is said of a controller that is not there.
+_AWAY = "controller is not connected"
+
+
+class Liveness:
+    """Silence and refusals in a row.
+
+    Args:
+        config: how long and how many.
+        mono_ms: the monotonic clock.
+        raise_alert: records and publishes one; called with what it is and its details.
+    """
+
+    def __init__(
+        self,
+        config: GateConfig,
+        mono_ms: Callable[[], int],
+        raise_alert: Callable[[str, dict[str, Any]], None],
+    ) -> None:
+        self._config = config
+        self._mono_ms = mono_ms
+        self._raise = raise_alert
+        self._heard: dict[ClientRole, int] = {}
+        self._silent: set[ClientRole] = set()
+        self._refused: dict[str, int] = {}
+        self._active = False
+        self._since_ms = mono_ms()
+        self._in_time = True
+        self.alerts: deque[dict[str, Any]] = deque(maxlen=_SHOWN)
+
+    def hear(self, role: ClientRole) -> None:
+        """Note that a role was heard of."""
+        self._heard[role] = self._mono_ms()
+        self._end(role, f"{role} is silent")
+
+    def ages(self) -> dict[str, int | None]:
+        """Return how long ago each role was heard of, in milliseconds, None for never."""
+        now = self._mono_ms()
+        return {
+            f"{role}_ms": None if role not in self._heard else now - self._heard[role]
+            for role in (ClientRole.PLANNER, ClientRole.ESTIMATOR, ClientRole.CONTROLLER)
+        }
+
+    def check(self, *, active: bool, controller: bool) -> None:
+        """Raise what is due: one alert for each silence.
+
+        Args:
+            active: a mission is active; nobody has to speak without one.
+            controller: a controller is connected, or this gate needs none.
+        """
+        if active and not self._active:
+            self._since_ms = self._mono_ms()  # silence counts from the mission's begin
+        self._active = active
+        if not active:
+            return
+        config = self._config
+        self._check(ClientRole.PLANNER, config.planner_silence_ms)
+        self._check(ClientRole.ESTIMATOR, config.estimator_silence_ms)
+        if controller:
+            self._end(ClientRole.CONTROLLER, _AWAY)
+        elif ClientRole.CONTROLLER not in self._silent:
+            self._silent.add(ClientRole.CONTROLLER)
+            self.alert(_AWAY, {})
+
+    def keep_time(self, *, right: bool) -> None:
+        """Raise an alert when the wall clock falls behind what was committed, once each time."""
+        if not right and self._in_time:
+            self.alert("the clock is behind", {})
+        self._in_time = right
+
+    def judge(self, client: Identifier, report: Report) -> bool:
+        """Count refusals in a row; True when it is time to stop the robot."""
+        user = client.partition(".")[0]  # under all its names: another name is no progress
+        if report.outcome is Outcome.SUCCEEDED:
+            self._refused.pop(user, None)
+            self._refused.pop(client, None)
+            return False
+        if report.judged is not None and report.judged.released:
+            return False  # it got somewhere, if not to the end
+        rows = {self._count(client), self._count(user)}
+        if self._config.refusals not in rows:  # once for each row of them; 0 is never reached
+            return False
+        self.alert("no progress", {"client": client, "refusals": self._config.refusals})
+        return True
+
+    def _count(self, who: str) -> int:
+        count = self._refused.pop(who, 0) + 1
+        self._refused[who] = count
+        if len(self._refused) > _COUNTED:
+            del self._refused[next(iter(self._refused))]
+        return count
+
+    def tell(self, what: str, details: dict[str, Any]) -> None:
+        """Keep an alert for `status` that is recorded already."""
+        self.alerts.append({"what": what, **details})
+
+    def alert(self, what: str, details: dict[str, Any]) -> None:
+        """Raise an alert and keep it for `status`."""
+        self.alerts.append({"what": what, **details})
+        self._raise(what, details)
+
+    def _end(self, role: ClientRole, what: str) -> None:
+        """Note that a silence is over, so that nobody looks for its cause any more."""
+        if role not in self._silent:
+            return
+        self._silent.discard(role)
+        for number, told in enumerate(self.alerts):
+            if told["what"] == what:
+                self.alerts[number] = {**told, "over": True}
+
+    def _check(self, role: ClientRole, most_ms: int) -> None:
+        if most_ms == 0 or role in self._silent:
+            return
+        silent_ms = self._mono_ms() - max(self._heard.get(role, 0), self._since_ms)
+        if silent_ms > most_ms:
+            self._silent.add(role)
+            self.alert(f"{role} is silent", {"silent_ms": silent_ms})

@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A planner's plan from its bytes to its answer: read whole, then step by step.
+
+Nothing here decides: each step goes down the enforcer's road when its turn comes.
+Spec page: docs/spec/gate-protocol.md#propose
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from authguard_r.core.encoding import Tag, b64, digest
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
+from authguard_r.core.identifiers import Digest, Identifier
+from authguard_r.core.mission import OnRefusal
+from authguard_r.core.provenance import TRUST
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome
+from authguard_r.enforcement import Enforcer
+from authguard_r.gate.clients import Client
+from authguard_r.gate.motions import Motions
+from authguard_r.gate.proposals import (
+    Answered,
+    Keeper,
+    Kept,
+    Numbers,
+    Proposals,
+    require_same_plan,
+)
+from authguard_r.gate.reader import SHORT, Reader
+from authguard_r.normalize import Binder, Dialect, Plan, Step, normalize
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.report import Judged, Report
+from authguard_r.running import Running, require_judged
+from authguard_r.shapes import Disclosure, decision_json, told_json
+from authguard_r.wire.messages import Evaluate, Fault, Propose
+
+_HANDED_OVER = Fault(
+    code=Reason.BUSY,
+    message="another connection of this client asked for the answer",
+    where="proposal.key",
+)
+#: Planners whose inputs are kept, each for itself.
+_MOST_CONTEXTS = 256
+_MOST_OF_USER = 32
+
+
+class Run:
+    """One plan on its way.
+
+    Args:
+        client: who is answered; another connection of the same client may take its place.
+        number: the request.
+        asked: what it asked for.
+        evidence: digest of the planner's exact bytes.
+    """
+
+    def __init__(self, client: Client, number: int, asked: Propose, evidence: Digest) -> None:
+        self.client = client
+        self.number = number
+        self.asked = asked
+        self.evidence = evidence
+        self.steps: tuple[Step, ...] = ()
+        self.reports: list[Report] = []
+        self.numbers: tuple[Numbers, ...] = ()
+        self.told: list[dict[str, Any]] = []
+
+    def answered(self, then: str | None = None) -> Answered:
+        """Return what is known of it so far."""
+        return Answered(
+            evidence=self.evidence,
+            planned=len(self.steps),
+            steps=tuple(self.told),
+            on_refusal=then,
+        )
+
+    def add(self, report: Report, disclosure: Disclosure) -> None:
+        """Take in a step's final report, and what the planner is told of it."""
+        self.reports.append(report)
+        self.told.append(told_json(report, disclosure))
+
+
+class Plans:
+    """Every plan that is not answered yet.
+
+    Args:
+        enforcer: the road.
+        binder: the planner's tools.
+        reader: reads long plans.
+        motions: watches what was released.
+        proposals: what is recorded.
+        channels: the site's own channels.
+        disclosure: how much a planner is told.
+        shadow: every step is judged, whatever became of the one before: nothing is released.
+        later: lets a client's next step wait for its turn.
+        answered: called with a client whose proposal was answered.
+        decided: called with the report of every decision; one that released has no outcome yet.
+        ended: called with the report of everything that was released, once it has one.
+    """
+
+    def __init__(
+        self,
+        enforcer: Enforcer,
+        binder: Binder,
+        *,
+        reader: Reader,
+        motions: Motions,
+        proposals: Proposals,
+        channels: dict[str, str],
+        disclosure: Disclosure,
+        shadow: bool,
+        later: Callable[[Client, Callable[[], None]], None],
+        decided: Callable[[Client, Report], None],
+        ended: Callable[[Client, Report], None],
+        answered: Callable[[Client], None],
+    ) -> None:
+        self._enforcer = enforcer
+        self._binder = binder
+        self._reader = reader
+        self._motions = motions
+        self._proposals = proposals
+        self._channels = channels
+        self._disclosure = disclosure
+        self._shadow = shadow
+        self._later = later
+        self._decided = decided
+        self._ended = ended
+        self._answered = answered
+        self._open: dict[tuple[Identifier, str], Run] = {}
+        self._contexts: dict[Identifier, ContextLedger] = {}
+        # who told of an input that could not be noted, however often it connects anew; a whole
+        # user, `u1001.`, in the place of more of its names than are kept
+        self._unheard: set[str] = set()
+        self._nothing = self._empty()  # what a planner saw that nobody told of
+        self._anything = self._empty()
+        self._anything.add(str(TRUST[-1]), "")
+
+    def observe(self, client: Client, channel: str, text: str) -> None:
+        """Note something that the client's planner was shown.
+
+        Raises:
+            MalformedError: a channel that nobody gave a label, or too long a text.
+            EnvironmentFault: nothing can be noted for one more planner.
+        """
+        known = self._contexts.get(client.name)
+        if known is not None:
+            known.add(channel, text)
+            return
+        owner = f"u{client.uid}."
+        theirs = sum(name.startswith(owner) for name in self._contexts)
+        if theirs >= _MOST_OF_USER or len(self._contexts) >= _MOST_CONTEXTS:
+            self._could_not_note(client)  # nobody's inputs are forgotten for another's
+            raise EnvironmentFault(
+                "too many planners were shown something", reason=Reason.BUSY, where="observe"
+            )
+        fresh = self._empty()
+        fresh.add(channel, text)
+        self._contexts[client.name] = fresh
+
+    def propose(self, client: Client, number: int, asked: Propose) -> None:
+        """Begin a plan, or answer a repeat from what is recorded.
+
+        Raises:
+            RefusedError: another plan came under this key.
+            AuthGuardError: what is recorded cannot be read.
+        """
+        evidence = digest(Tag.RAW, asked.plan)
+        going = self._open.get((client.name, asked.key))
+        if going is not None:
+            require_same_plan(going.evidence, evidence)
+            self._hand_over(going, client, number)
+            return
+        known = self._proposals.recall(client.name, asked.key, evidence)
+        if known is not None:
+            self._answer(client, number, known, repeated=True)
+            return
+        dialect = _dialect(asked.dialect)
+        run = Run(client, number, asked, evidence)
+        self._open[client.name, asked.key] = run
+        try:
+            self._read_plan(client, asked.plan, dialect, partial(self._read, run))
+        except BaseException:  # whatever it was: the key is free again
+            self._open.pop((client.name, asked.key), None)
+            raise
+
+    def _hand_over(self, run: Run, client: Client, number: int) -> None:
+        """Give the answer to a client that came back, and let the connection before go on."""
+        run.client.error(run.number, _HANDED_OVER)
+        self._answered(run.client)
+        run.client, run.number = client, number
+
+    def _read(self, run: Run, plan: Plan | AuthGuardError) -> None:
+        """Go on with a plan that was read, or record that it could not be."""
+        if isinstance(plan, Plan):
+            run.steps = plan.steps
+            self._step(run)
+            return
+        asked = run.asked
+        inputs = {"plan": b64(asked.plan), "dialect": asked.dialect} if self._shadow else {}
+        refused = self._enforcer.refuse_plan(plan, planner=run.client.name, inputs=inputs)
+        run.add(refused, self._disclosure)
+        self._finish(run)
+        self._decided(run.client, refused)
+
+    def evaluate(
+        self,
+        client: Client,
+        asked: Evaluate,
+        judge: Callable[[Step], Judged],
+        answer: Callable[[list[dict[str, Any]] | AuthGuardError], None],
+    ) -> None:
+        """Answer what both gates would say of each step; nothing is recorded or released.
+
+        Args:
+            client: who asks.
+            asked: the plan.
+            judge: asks both gates about one step.
+            answer: called once, with the decisions or with why there are none.
+
+        Raises:
+            MalformedError: no such dialect.
+        """
+
+        def read(plan: Plan | AuthGuardError) -> None:
+            try:
+                if isinstance(plan, AuthGuardError):
+                    raise plan
+                answer([decision_json(judge(step), authoritative=False) for step in plan.steps])
+            except AuthGuardError as error:
+                answer(error)
+
+        self._read_plan(client, asked.plan, _dialect(asked.dialect), read)
+
+    def _read_plan(
+        self,
+        client: Client,
+        data: bytes,
+        dialect: Dialect,
+        taken: Callable[[Plan | AuthGuardError], None],
+    ) -> None:
+        """Read a plan: a short one here, a long one in a process of its own.
+
+        Raises:
+            EnvironmentFault: too many long ones wait already.
+        """
+        if len(data) > SHORT:
+            self._reader.read(data, dialect, taken, uid=client.uid, wanted=lambda: not client.gone)
+            return
+        try:
+            plan: Plan | AuthGuardError = normalize(data, binder=self._binder, dialect=dialect)
+        except AuthGuardError as error:
+            plan = error
+        taken(plan)
+
+    def _step(self, run: Run) -> None:
+        """Decide the next step; what is released is watched until it ends."""
+        client = run.client
+        if client.gone:  # it went while its plan was read, or its next step waited for its turn
+            self._leave(run)
+            return
+        step = run.steps[len(run.reports)]
+        before = Kept(evidence=run.evidence, planned=len(run.steps), steps=run.numbers)
+        keeper = Keeper(client.name, run.asked.key, before)
+        begun = self._enforcer.submit(
+            step,
+            planner=client.name,
+            evidence=run.evidence,
+            context=self._context(client),
+            keep=keeper,
+            inputs={"action": step.action} if self._shadow else {},
+        )
+        if isinstance(begun, Running):
+            ended = partial(self._moved, run, keeper)
+            self._motions.add(client.name, begun, ended, gone=lambda: run.client.gone)
+            self._tell(run, begun.report)
+            self._decided(client, begun.report)
+        elif begun.outcome is not None:
+            self._decided(client, begun)
+            self._moved(run, keeper, begun)
+        else:  # the planner waits for its answer, those who count do not
+            self._go_on(run, begun)
+            self._decided(client, begun)
+
+    def _moved(self, run: Run, keeper: Keeper, report: Report) -> None:
+        """Go on after a released step has ended, or was not begun after all."""
+        run.numbers += keeper.numbers
+        self._ended(run.client, report)
+        self._go_on(run, report)
+
+    def _go_on(self, run: Run, report: Report) -> None:
+        run.add(report, self._disclosure)
+        left = len(run.reports) < len(run.steps)
+        goes_on = self._shadow or report.outcome is Outcome.SUCCEEDED
+        if left and goes_on and not run.client.gone:
+            self._later(run.client, lambda: self._step(run))
+        else:
+            self._finish(run)
+
+    def _leave(self, run: Run) -> None:
+        """End a plan whose planner is gone; one that was not begun may come again."""
+        if run.reports:
+            self._finish(run)
+        else:
+            del self._open[run.client.name, run.asked.key]
+
+    def _finish(self, run: Run) -> None:
+        """Do what the mission says is done after a refusal, and answer."""
+        self._open.pop((run.client.name, run.asked.key), None)
+        last = run.reports[-1]
+        then = None if last.outcome is Outcome.SUCCEEDED else self._after_refusal(last)
+        answered = run.answered(then)
+        self._proposals.remember(run.client.name, run.asked.key, answered)
+        self._answer(run.client, run.number, answered, repeated=False)
+
+    def _after_refusal(self, report: Report) -> str:
+        """Hold, or brake too; asking a person is the console's part, and the robot holds."""
+        judged = report.judged
+        wanted = OnRefusal.HOLD if judged is None else judged.verified.mission.on_refusal
+        if wanted is OnRefusal.STOP:
+            self._enforcer.stop(by="gate", is_planner=False)
+        return str(wanted)
+
+    def _tell(self, run: Run, report: Report) -> None:
+        step = told_json(report, self._disclosure)
+        ticket = require_judged(report).ticket
+        run.client.event(run.number, {"step": len(run.reports), "ticket": ticket, **step})
+
+    def _answer(self, client: Client, number: int, known: Answered, *, repeated: bool) -> None:
+        client.reply(
+            number,
+            {
+                "steps": known.steps,
+                "planned": known.planned,
+                "on_refusal": known.on_refusal,
+                "repeated": repeated,
+                "shadow": self._shadow,
+            },
+        )
+        self._answered(client)
+
+    def _context(self, client: Client) -> ContextLedger:
+        """Return what the client's planner saw; what could not be noted may have been anything."""
+        unheard = not self._unheard.isdisjoint((client.name, f"u{client.uid}."))
+        unknown = self._anything if unheard else self._nothing
+        return self._contexts.get(client.name, unknown)
+
+    def _could_not_note(self, client: Client) -> None:
+        owner = f"u{client.uid}."
+        theirs = sum(name.startswith(owner) for name in self._unheard)
+        self._unheard.add(client.name if theirs < _MOST_OF_USER else owner)
+
+    def _empty(self) -> ContextLedger:
+        return ContextLedger(self._binder.spellings(), channels=self._channels)
+
+
+def _dialect(name: str) -> Dialect:
+    try:
+        return Dialect(name)
+    except ValueError as error:
+        raise MalformedError(
+            f"expected one of {', '.join(sorted(Dialect))}", where="proposal.dialect"
+        ) from error

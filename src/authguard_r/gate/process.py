@@ -1,0 +1,374 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate's process from its start to its end: what it takes hold of, in which order, and lets go.
+
+Order matters: the robot's name first, then the store, then recovery, then the stop lane, and only
+then clients. A gate that cannot have all of them serves nobody.
+Spec page: docs/spec/gate-protocol.md#start-and-end
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import resource
+import shutil
+import signal
+import socket
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import partial
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from authguard_r.anchoring.anchor import WHAT
+from authguard_r.anchoring.counter import Counter
+from authguard_r.approvals.organization import VerifiedPolicy
+from authguard_r.assembly import Gate, assemble
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.ports import Clock, Controller, StateSource
+from authguard_r.core.reasons import Reason
+from authguard_r.emergency.journal import EmergencyJournal
+from authguard_r.emergency.opened import OpenedPolicy
+from authguard_r.gate.clocks import every
+from authguard_r.gate.config import GateConfig
+from authguard_r.gate.controller import RemoteController, ShadowController
+from authguard_r.gate.inbox import Inbox
+from authguard_r.gate.journal import Journal
+from authguard_r.gate.lane.keeper import LaneKeeper
+from authguard_r.gate.lane.run import LaneFiles
+from authguard_r.gate.lock import ANSWER_S, Lock, hold_robot, root_fingerprint
+from authguard_r.gate.reader import Reader
+from authguard_r.gate.recovery import Recovery
+from authguard_r.gate.roads import open_road
+from authguard_r.gate.service import Service
+from authguard_r.gate.streams import Streams
+from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.trust import Trust
+from authguard_r.normalize import Binder
+from authguard_r.normalize.binding import Binding, binding_digest
+from authguard_r.refusals import RefusalPolicy
+from authguard_r.safety import EnvelopeGate, SafetyConfig, safety_digest
+from authguard_r.sim.robot import SymbolicRobot
+from authguard_r.site.model import Site, stopping_mm
+from authguard_r.store.sqlite import open_store
+from authguard_r.times import SIMULATED, SystemClock
+from authguard_r.wire.messages import Mode
+
+#: The clients' socket, in the run folder.
+SOCKET = "gate.sock"
+#: Refusals wait this long for somebody else's commit, in milliseconds.
+DELAY_MS = 100
+#: What is added to the process's niceness, where the machine lets it.
+PRIORITY = -5
+#: Connections that the kernel keeps until they are taken.
+_BACKLOG = 1_024
+#: Connections taken at a time: those refused let go of their files before many more are taken.
+_AT_ONCE = 16
+
+
+class EmergencyParts(Struct, frozen=True, kw_only=True):
+    """The emergency policy, and where its journal is; None: beside the store."""
+
+    policy: OpenedPolicy
+    journal: Path | None = None
+
+
+class Parts(Struct, frozen=True, kw_only=True):
+    """What a gate is started with, each part read and authentic.
+
+    Args:
+        run: the run folder, for the sockets; the gate's user owns it.
+        trust: the trust root.
+        signer: the gate's own key.
+        site: the site model.
+        binding: the planner's tools.
+        safety: the second gate's configuration.
+        config: the gate's own.
+        store: the store's file.
+        lane: what the stop lane is started with; None without one: a robot in this process.
+        journal: the file descriptor of the structured log.
+        demo: a root that says `demo` will do.
+        key: the file of the gate's own key, which is held against a second gate.
+        simulated: a symbolic robot in this process, with its own time; for trying out.
+        risk: the organization's risk policy; None without one.
+        counter: kept outside of the store; None without one.
+        emergency: the emergency policy; None without one: only stops work without a mission.
+    """
+
+    run: Path
+    trust: Trust
+    signer: FileSigner
+    site: Site
+    binding: Binding
+    safety: SafetyConfig
+    config: GateConfig
+    store: Path
+    lane: LaneFiles | None
+    journal: int
+    demo: bool
+    key: Path | None = None
+    simulated: SymbolicRobot | None = None
+    risk: VerifiedPolicy | None = None
+    counter: Counter | None = None
+    emergency: EmergencyParts | None = None
+
+
+class Rendezvous(Struct, frozen=True, kw_only=True):
+    """Lies beside a store that a gate holds, and says where its clients go."""
+
+    socket: str
+    pid: int
+    robot: RobotId
+
+
+class _Mounted(Struct, frozen=True):
+    """The ports of one gate, as its mode and its robot want them."""
+
+    controller: Controller
+    remote: RemoteController | None
+    source: StateSource
+    inbox: Inbox
+    clock: Clock
+
+
+def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
+    """Serve clients until SIGTERM or SIGINT; returns after everything is written and let go.
+
+    Args:
+        parts: what it is started with.
+        ready: called once, when clients can connect.
+
+    Raises:
+        EnvironmentFault: another gate serves this robot, or a part cannot be used.
+        StoreError: the store cannot be used.
+        AuthenticityError: the gate's own certificate does not hold.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
+    with suppress(OSError):
+        os.nice(PRIORITY)  # whoever floods the machine waits for the robot, not the robot for him
+    with ExitStack() as held:
+        lock = _hold(parts)
+        held.callback(lock.release)
+        mounted = _mount(parts)
+        gate = _assemble(parts, mounted)
+        held.callback(gate.close)
+        gate.enforcer.before_first(lambda: None)
+        if mounted.remote is not None:
+            mounted.remote.keep_time(gate.ledger.mono_ms)
+        recovery = Recovery(gate.management, first=partial(gate.management.hold_policy, parts.risk))
+        recovery.begin()
+        service = Service(
+            gate,
+            parts.config,
+            binder=Binder(parts.site, parts.binding),
+            reader=Reader(parts.site, parts.binding),
+            channels=dict(parts.site.channels),
+            signer=parts.signer,
+            inbox=mounted.inbox,
+            controller=mounted.remote,
+            streams=_streams(parts, gate, mounted.remote),
+            recovery=recovery,
+            journal=Journal(parts.journal),
+            advance=_advance(parts),
+        )
+        service.view.free_bytes = partial(_free_bytes, parts.store.absolute().parent)
+        _tell_put_back(gate, service)
+        _rescue(parts, service, mounted.remote, held)
+        keeper = _keeper(parts, held)
+        if keeper is not None:
+            service.view.lane_alive = partial(_is_alive, keeper)
+        if keeper is not None and mounted.remote is not None:
+            mounted.remote.ask_with(keeper.sync)
+        asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
+        recovery.end()
+
+
+def _rescue(
+    parts: Parts, service: Service, remote: RemoteController | None, held: ExitStack
+) -> None:
+    """Open the emergency road, if a policy was signed; its journal first, then the log."""
+    if parts.emergency is None:
+        return
+    beside = parts.store.with_name(f"{parts.store.name}.emergency")
+    journal = EmergencyJournal(parts.emergency.journal or beside, robot=parts.config.robot)
+    held.callback(journal.close)
+    road = open_road(service, parts.emergency.policy, journal, controller=remote)
+    held.callback(road.log.flush)
+
+
+def _tell_put_back(gate: Gate, service: Service) -> None:
+    """Tell whoever runs the machine, and `status`, of a store that was put back."""
+    if gate.anchor.why is not None:
+        told = {"why": str(gate.anchor.why)}
+        service.liveness.tell(WHAT, told)
+        service.notices.publish({"event": "alert", "what": WHAT, **told})
+
+
+def _hold(parts: Parts) -> Lock:
+    root = root_fingerprint(parts.trust.root)
+    return hold_robot(parts.config.robot, root, run=parts.run, key=parts.key)
+
+
+def _mount(parts: Parts) -> _Mounted:
+    """Return the ports: a connected controller and estimator, none in shadow, or a simulation."""
+    robot, clock, inbox = parts.simulated, SystemClock(), Inbox()
+    shadow = parts.config.mode is Mode.SHADOW
+    if robot is not None:
+        return _Mounted(ShadowController() if shadow else robot, None, robot, inbox, robot)
+    if shadow:
+        return _Mounted(ShadowController(), None, inbox, inbox, clock)
+    remote = RemoteController(renew_within_ms=parts.config.renew_within_ms)
+    return _Mounted(remote, remote, inbox, inbox, clock)
+
+
+def _assemble(parts: Parts, mounted: _Mounted) -> Gate:
+    clock = {"clock": SIMULATED} if parts.simulated is not None else {}
+    return assemble(
+        trust=parts.trust,
+        chain=parts.signer.chain,
+        site=parts.site,
+        safety=EnvelopeGate(parts.safety),
+        controller=mounted.controller,
+        source=mounted.source,
+        clock=mounted.clock,
+        store=open_store(parts.store, reserve_bytes=parts.config.reserve_bytes),
+        genesis={
+            "binding": binding_digest(parts.binding),
+            "safety": safety_digest(parts.safety),
+            **clock,
+        },
+        demo=parts.demo,
+        refusals=_policy(parts.config),
+        stand_within_ms=parts.config.stand_within_ms,
+        marks={"mode": str(Mode.SHADOW)} if parts.config.mode is Mode.SHADOW else {},
+        risk=() if parts.risk is None else (parts.risk.policy.policy,),
+        counter=parts.counter,
+        signer=None if parts.counter is None else parts.signer,
+    )
+
+
+def _policy(config: GateConfig) -> RefusalPolicy:
+    """Return what waits and what is counted; a shadow run is there to be read, so nothing is."""
+    shadow = config.mode is Mode.SHADOW
+    return RefusalPolicy(
+        delay_ms=DELAY_MS,
+        fold_ms=0 if shadow else config.fold_ms,
+        users=len({peer.uid for peer in config.peers}) + 1,  # and the one whom nobody named
+    )
+
+
+def _streams(parts: Parts, gate: Gate, remote: RemoteController | None) -> Streams | None:
+    if remote is None:
+        return None
+    profile = parts.site.robots[parts.config.robot].profile
+    streams = Streams(
+        gate.ledger,
+        remote,
+        facts=gate.facts,
+        stopping_mm=partial(stopping_mm, profile),
+        state=lambda: gate.enforcer.intake.state,
+    )
+    remote.admit_with(streams.admit)
+    return streams
+
+
+def _advance(parts: Parts) -> Callable[[int], None] | None:
+    robot = parts.simulated
+    return None if robot is None else partial(_pass_time, robot)
+
+
+def _pass_time(robot: SymbolicRobot, for_ms: int) -> None:
+    robot.pause(for_ms)
+    del robot.trace[:-1]  # a process lives long
+
+
+def _free_bytes(folder: Path) -> int:
+    return shutil.disk_usage(folder).free
+
+
+def _is_alive(keeper: LaneKeeper) -> bool:
+    return keeper.alive
+
+
+def _keeper(parts: Parts, held: ExitStack) -> LaneKeeper | None:
+    """Start the stop lane, unless one serves already; one that we started ends with us."""
+    if parts.lane is None:
+        return None
+    keeper = LaneKeeper(parts.lane)
+    held.callback(keeper.end)
+    keeper.start()
+    return keeper
+
+
+async def _serve(
+    parts: Parts,
+    service: Service,
+    keeper: LaneKeeper | None,
+    *,
+    lock: Lock,
+    ready: Callable[[Rendezvous], None],
+) -> None:
+    """Listen, say so, and serve until somebody ends it."""
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    answering = asyncio.ensure_future(every(ANSWER_S, lock.answer))
+    keeping = await _keep(keeper, service)
+    path = parts.run / SOCKET
+    server = await _listen(path, service)
+    told = Rendezvous(socket=str(path.absolute()), pid=os.getpid(), robot=parts.config.robot)
+    beside = parts.store.with_name(f"{parts.store.name}.gate")
+    beside.write_bytes(msgspec.json.encode(told))
+    gc.collect()
+    gc.freeze()  # what was loaded stays: the collector need not go through it in mid-motion
+    try:
+        if service.desk.rescues is not None:
+            service.desk.rescues.closing = ended.is_set
+        ready(told)
+        await service.run(ended)
+    finally:
+        answering.cancel()
+        keeping.cancel()
+        server.close()
+        beside.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+
+
+async def _keep(keeper: LaneKeeper | None, service: Service) -> asyncio.Future[None]:
+    """Hear of stops from now on, those before the start included; then clients may come."""
+    if keeper is None:
+        return asyncio.get_running_loop().create_future()
+    connected = asyncio.Event()
+    keeping = asyncio.ensure_future(keeper.keep(service.stops, connected.set))
+    await connected.wait()
+    return keeping
+
+
+async def _listen(path: Path, service: Service) -> asyncio.Server:
+    """Listen at the path; the robot's lock is ours, so a socket that lies there is a dead one's."""
+    path.unlink(missing_ok=True)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        listener.bind(str(path))
+        server = await asyncio.get_running_loop().create_unix_server(
+            service.connect, sock=listener, backlog=_AT_ONCE
+        )
+        listener.listen(_BACKLOG)
+        path.chmod(0o660)  # the folder and its group say who may reach it
+    except OSError as error:
+        listener.close()
+        raise EnvironmentFault(
+            f"cannot listen: {error.strerror or error}",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(path),
+        ) from error
+    return server
+
+
+__all__ = ["SOCKET", "EmergencyParts", "Parts", "Rendezvous", "run_gate"]

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Opens a gate's emergency road: what the last run left comes into the log, then calls may come.
+
+Spec page: docs/spec/emergency.md#the-road
+"""
+
+from __future__ import annotations
+
+from authguard_r.emergency.journal import EmergencyJournal
+from authguard_r.emergency.opened import OpenedPolicy
+from authguard_r.gate.controller import RemoteController
+from authguard_r.gate.rescues import Rescues
+from authguard_r.gate.service import Service
+from authguard_r.rescue import Rescue
+from authguard_r.rescue_log import RescueLog
+
+
+def open_road(
+    service: Service,
+    opened: OpenedPolicy,
+    journal: EmergencyJournal | None,
+    *,
+    controller: RemoteController | None,
+) -> Rescue:
+    """Return the emergency road of a gate; its clients are served from now on.
+
+    Args:
+        service: the gate.
+        opened: the policy.
+        journal: takes what the store cannot; None: nothing is done without the store.
+        controller: the controller's end; None where nothing is connected to anything.
+
+    Raises:
+        StoreError: the policy was not recorded.
+    """
+    gate = service.gate
+    log = RescueLog(gate.ledger, journal)
+    log.adopt(opened)
+    log.flush()
+    road = Rescue(
+        gate.ledger,
+        gate.enforcer.intake,
+        opened=opened,
+        verifier=gate.trust,
+        facts=gate.facts,
+        safety=gate.safety,
+        watch=gate.watch,
+        log=log,
+    )
+    rescues = Rescues(
+        road,
+        enforcer=gate.enforcer,
+        motions=service.motions,
+        controller=controller,
+        liveness=service.liveness,
+        publish=service.notices.publish,
+    )
+    service.desk.rescues = rescues
+    service.motions.beside = rescues.look
+    service.stops.operator_stopped = rescues.stopped
+    return road

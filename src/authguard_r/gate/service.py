@@ -1,0 +1,398 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process's one loop: connections, turns, clocks. It decides nothing and waits for nobody.
+
+Everything runs in one thread, so there is nothing to lock and nothing to race: what a turn does is
+done when the next one begins. A disk that hangs holds the turn, and then no lease is renewed: the
+controller stops by itself. Spec page: docs/spec/gate-protocol.md
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+
+from authguard_r.assembly import Gate
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.core.identifiers import Identifier
+from authguard_r.core.ports import Signer
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import sign_object
+from authguard_r.gate.clients import Client, Ring
+from authguard_r.gate.clocks import every, first
+from authguard_r.gate.config import GateConfig
+from authguard_r.gate.controller import RemoteController
+from authguard_r.gate.desk import Desk
+from authguard_r.gate.inbox import Inbox
+from authguard_r.gate.journal import Journal
+from authguard_r.gate.liveness import Liveness
+from authguard_r.gate.motions import Motions
+from authguard_r.gate.notices import Notices
+from authguard_r.gate.plans import Plans
+from authguard_r.gate.proposals import Proposals
+from authguard_r.gate.reader import Reader
+from authguard_r.gate.recovery import Recovery
+from authguard_r.gate.sessions import Session
+from authguard_r.gate.stop_book import StopBook
+from authguard_r.gate.streams import Streams
+from authguard_r.gate.view import View
+from authguard_r.normalize import Binder
+from authguard_r.report import Report, refusal_entry
+from authguard_r.running import WATCH_MS, quietly
+from authguard_r.shapes import report_json
+from authguard_r.wire.frames import Frame
+from authguard_r.wire.messages import (
+    PROTOCOL,
+    ClientRole,
+    Hello,
+    Kind,
+    Mode,
+    Proof,
+    Welcome,
+)
+
+#: Open leases are looked at this often, in seconds; never more seldom than every 100 ms.
+LOOK_S = 0.05
+#: What waits to be recorded is recorded this often, in seconds.
+FLUSH_S = 0.1
+#: Silence is looked for this often, in seconds.
+LISTEN_S = 1.0
+
+
+class Service:
+    """A gate and its clients (`gate.sessions.Hall`).
+
+    Args:
+        gate: enforcer, management, ledger.
+        config: the signed configuration.
+        binder: the planner's tools.
+        reader: reads long plans.
+        channels: the site's own channels, with their labels.
+        signer: the gate's own key, for proofs.
+        inbox: the estimator's channel, which the gate's intake reads.
+        controller: the controller's end; None where nothing is connected to anything: shadow
+            mode, or a robot in this process.
+        streams: what may be sampled while it runs; None where there is no controller.
+        recovery: settles what the last run left open.
+        journal: for whoever runs the machine.
+        advance: lets so many milliseconds of simulated time pass; None where time is real.
+    """
+
+    def __init__(
+        self,
+        gate: Gate,
+        config: GateConfig,
+        *,
+        binder: Binder,
+        reader: Reader,
+        channels: dict[str, str],
+        signer: Signer,
+        inbox: Inbox,
+        controller: RemoteController | None,
+        streams: Streams | None,
+        recovery: Recovery,
+        journal: Journal,
+        advance: Callable[[int], None] | None = None,
+    ) -> None:
+        self.gate = gate
+        self._config = config
+        self._signer = signer
+        self._reader = reader
+        self._controller = controller
+        self._advance = advance
+        self._recovery = recovery
+        self._journal = journal
+        self._sessions: set[Session] = set()
+        self._clients: set[Client] = set()
+        self._users: Counter[int] = Counter()
+        self._ring = Ring(self._shed)
+        self._turning = False
+        self._closing = False
+        self.motions = Motions(controller, streams)
+        self.notices = Notices(gate.ledger, lambda: self._clients, journal)
+        self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
+        self.view = View(
+            gate,
+            config,
+            motions=self.motions,
+            liveness=self.liveness,
+            clients=lambda: self._clients,
+        )
+        self.stops = self._stop_book()
+        self.desk = self._desk = Desk(
+            gate,
+            plans=self._plans(binder, reader, channels),
+            motions=self.motions,
+            inbox=inbox,
+            view=self.view,
+            controller=controller,
+            streams=streams,
+            publish=self.notices.publish,
+            first=self._settle_before,
+            rest=partial(self._later, first=True),
+            answered=self._ring.done,
+            refused=lambda client, error: self.refused(client.name, error),
+        )
+
+    def _stop_book(self) -> StopBook:
+        return StopBook(
+            self.gate.enforcer,
+            self._controller,
+            view=self.view,
+            motions=self.motions,
+            liveness=self.liveness,
+            notices=self.notices,
+        )
+
+    def _plans(self, binder: Binder, reader: Reader, channels: dict[str, str]) -> Plans:
+        return Plans(
+            self.gate.enforcer,
+            binder,
+            reader=reader,
+            motions=self.motions,
+            proposals=Proposals(self.gate.ledger, self._config.disclosure),
+            channels=channels,
+            disclosure=self._config.disclosure,
+            shadow=self._config.mode is Mode.SHADOW,
+            later=self._later,
+            decided=self._decided,
+            ended=self._ended,
+            answered=self._ring.done,
+        )
+
+    # the hall
+
+    @property
+    def config(self) -> GateConfig:
+        """The signed configuration."""
+        return self._config
+
+    def connect(self) -> Session:
+        """Return the protocol of a new connection."""
+        session = Session(self, asyncio.get_running_loop().call_later)
+        self._sessions.add(session)
+        return session
+
+    def count(self, uid: int) -> int:
+        """Return how many connections a user has, with the one that asks."""
+        self._users[uid] += 1
+        return self._users[uid]
+
+    def welcome(self, hello: Hello) -> Welcome:
+        """Return the answer to a hello, with the proof that its nonce asks for."""
+        robot = self._config.robot
+        proof = None
+        if hello.nonce is not None:
+            said = Proof(robot=robot, role=hello.role, nonce=hello.nonce)
+            proof = sign_object(said, Tag.HANDSHAKE, self._signer).decode("ascii")
+        return Welcome(
+            protocol=PROTOCOL,
+            robot=robot,
+            mode=self._config.mode,
+            role=hello.role,
+            client=hello.client,
+            site=self.gate.facts.digest,
+            proof=proof,
+        )
+
+    def entered(self, client: Client) -> None:
+        """Take a client in; the first controller keeps its place.
+
+        Raises:
+            ControllerError: there is a controller already.
+        """
+        if client.role is ClientRole.CONTROLLER and self._controller is not None:
+            self._controller.attach(client.tell)
+        self._clients.add(client)
+        self._hear(client)
+        self._announce(client, here=True)
+
+    def came(self, client: Client, item: Frame, *, alone: bool) -> None:
+        """Let a frame wait for its turn; one that comes alone when nobody waits has it now."""
+        self._hear(client)
+        at_once = alone and not self._ring and not self._turning
+        self._ring.came(client, item)
+        if at_once:
+            self._turn()
+        else:
+            self._turn_soon()
+
+    def reads(self, client: Client) -> None:
+        """Serve what waits of a client that was put aside: it reads again, or it is gone."""
+        self._ring.reads(client)
+        self._turn_soon()
+
+    def left(self, session: Session, client: Client | None) -> None:
+        """Let a connection go; a controller that goes is looked at at once."""
+        self._sessions.discard(session)
+        self._users[session.uid] -= 1
+        if self._users[session.uid] <= 0:
+            del self._users[session.uid]
+        if client is None or client not in self._clients:
+            return
+        self._clients.discard(client)
+        if client.role is ClientRole.CONTROLLER and self._controller is not None:
+            self._controller.detach()
+            self.motions.look()
+        self._announce(client, here=False)
+
+    def refused(self, name: Identifier, error: AuthGuardError) -> None:
+        """Record a request, or a connection, that was refused before it was anything."""
+        self.view.counted["refused"] += 1
+        made = partial(refusal_entry, error, client=name)
+        fold = (name, str(error.reason), error.where)
+        quietly(lambda: self.gate.ledger.refuse(made, fold=fold))
+
+    # turns
+
+    def _turn_soon(self) -> None:
+        if not self._turning:
+            self._turning = True
+            asyncio.get_running_loop().call_soon(self._turn)
+
+    def _turn(self) -> None:
+        """Serve one urgent request and one other, then let the loop read."""
+        self._turning = False
+        for client, item in self._ring.take():
+            try:
+                if isinstance(item, Frame):
+                    self._serve(client, item)
+                else:
+                    item()
+            except Exception as error:  # noqa: BLE001 - a fault of ours costs this client alone
+                name = type(error).__name__
+                self.refused(client.name, AuthGuardError(name, reason=Reason.INTERNAL_FAULT))
+                client.line.drop("a fault of the gate's own")
+        if self._ring:
+            self._turn_soon()
+        if self._advance is not None and self.motions:
+            self._look()
+
+    def _serve(self, client: Client, item: Frame) -> None:
+        """Serve a request; what the last run left open is settled with the first snapshot."""
+        self._desk.serve(client, item)
+        if self._recovery.after(item.kind):
+            self._recovered()
+
+    def _settle_before(self, kind: Kind) -> None:
+        if self._closing and kind in {Kind.PROPOSE, Kind.EMERGENCY}:
+            _refuse_all()
+        if self._recovery.before(kind):
+            self._recovered()
+
+    def _recovered(self) -> None:
+        """Say what became of the mission of a gate that did not end cleanly."""
+        self.view.mission_changed()
+        if self._recovery.unclean:
+            status = self.view.mission_status
+            self.notices.publish({"event": "recovery", "unclean": True, "status": status})
+
+    def _later(self, client: Client, act: Callable[[], None], *, first: bool = False) -> None:
+        self._ring.put(client, act, first=first)
+        self._turn_soon()
+
+    def _shed(self, client: Client) -> None:
+        """Count a proposal that was shed; a row of them is one refusal in the log."""
+        self.view.counted["shed"] += 1
+        if client.shed == 1:
+            self.refused(client.name, EnvironmentFault("shed unread", reason=Reason.BUSY))
+
+    def _hear(self, client: Client) -> None:
+        client.heard_ms = self.gate.ledger.mono_ms()
+        self.liveness.hear(client.role)
+
+    # what is told
+
+    def _announce(self, client: Client, *, here: bool) -> None:
+        told = {"client": client.name, "role": client.role, "here": here}
+        self.notices.publish({"event": "client", **told})
+
+    def _decided(self, client: Client, report: Report) -> None:
+        """Count and publish a decision."""
+        self.view.count_decision(report)
+        self._desk.questions.decided(report)
+        self._tell("decision", client, report)
+
+    def _ended(self, client: Client, report: Report) -> None:
+        """Count and publish an outcome."""
+        self.view.count_outcome(report)
+        self._tell("outcome", client, report)
+
+    def _tell(self, event: str, client: Client, report: Report) -> None:
+        """Tell those who watch, and stop a robot whose planner gets nowhere."""
+        if self.notices.wanted:
+            self.notices.publish({"event": event, "client": client.name, **report_json(report)})
+        if self._config.mode is Mode.ENFORCE and self.liveness.judge(client.name, report):
+            self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
+
+    # the clocks
+
+    async def run(self, ended: asyncio.Event) -> None:
+        """Keep the clocks going until it is time to end, then stop the robot and write it down."""
+        clocks = [
+            asyncio.create_task(every(LOOK_S, self._look)),
+            asyncio.create_task(every(FLUSH_S, self._flush)),
+            asyncio.create_task(every(LISTEN_S, self._listen)),
+        ]
+        mode, unclean = str(self._config.mode), self._recovery.unclean
+        started = {"robot": self._config.robot, "mode": mode, "pid": os.getpid()}
+        self.notices.publish({"event": "start", **started, "unclean": unclean})
+        try:
+            await first(ended, clocks)
+        finally:
+            for clock in clocks:
+                clock.cancel()
+            await self._come_to_rest()
+
+    def _look(self) -> None:
+        if self._advance is not None:
+            self._advance(WATCH_MS if self.motions else round(LOOK_S * 1_000))
+        self.motions.look()
+        if self._advance is not None and self.motions:
+            self._turn_soon()  # simulated time passes as fast as it can be watched
+
+    def _flush(self) -> None:
+        quietly(self.gate.ledger.flush)
+
+    def _listen(self) -> None:
+        """Once a second: recovery that is late, silence, the clock, the journal's counts."""
+        now_ms = self.gate.ledger.mono_ms()
+        if self._recovery.late(self.view.uptime_ms):
+            self._recovered()
+        self.liveness.keep_time(right=quietly(self.gate.ledger.now) is not None)
+        if self._config.mode is Mode.ENFORCE:
+            connected = self._controller is None or self._controller.connected
+            with suppress(AuthGuardError):
+                self.liveness.check(active=self.view.has_mission, controller=connected)
+        self._desk.questions.listen()
+        self._journal.counts(self.view.counted, now_ms)
+
+    async def _come_to_rest(self) -> None:
+        """Stop what moves, wait for it to stand, and let everybody go."""
+        self._closing = True
+        self.gate.enforcer.before_first(_refuse_all)  # a next step, and a plan that is being read
+        if self.motions:
+            self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
+        loop = asyncio.get_running_loop()
+        until = loop.time() + self._config.stand_within_ms / 1_000
+        while self.motions and loop.time() < until:
+            self._look()
+            await asyncio.sleep(LOOK_S / 5)
+        self.notices.publish({"event": "end", "robot": self._config.robot})
+        for session in tuple(self._sessions):
+            session.end()
+        self._reader.close()
+        self._flush()
+
+
+def _refuse_all() -> None:
+    """Decide nothing any more: the robot was stopped, and nobody would watch what is released.
+
+    Raises:
+        EnvironmentFault: always (`STOPPED`).
+    """
+    raise EnvironmentFault("the gate ends", reason=Reason.STOPPED, where="gate")

@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What operators and auditors may read of a running gate; nothing here changes anything.
+
+Spec page: docs/spec/gate-protocol.md#reading
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import msgspec
+
+from authguard_r.assembly import Gate
+from authguard_r.audit.record import read_record, read_sealed
+from authguard_r.core.encoding import b64
+from authguard_r.core.errors import AuthGuardError, ClockError
+from authguard_r.core.identifiers import Digest, MissionId
+from authguard_r.core.mission import Mission
+from authguard_r.core.ports import Turn
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.standing import Standing, use_of
+from authguard_r.gate.clients import Client
+from authguard_r.gate.config import GateConfig
+from authguard_r.gate.explain import explanation, is_refused_proposal, no_record
+from authguard_r.gate.liveness import Liveness
+from authguard_r.gate.motions import Motions
+from authguard_r.ledger import Act
+from authguard_r.report import Report
+from authguard_r.wire.messages import ClientRole
+
+#: Longest page of the log, in bytes of records.
+_PAGE_BYTES = 1 << 21
+#: Records that are looked through for the last refusal.
+_LOOKED = 1_000
+
+
+class View:
+    """What may be read.
+
+    Args:
+        gate: ledger and facts.
+        config: mode and bounds.
+        motions: open leases.
+        liveness: who was heard of, and the alerts.
+        clients: who is connected.
+    """
+
+    def __init__(
+        self,
+        gate: Gate,
+        config: GateConfig,
+        *,
+        motions: Motions,
+        liveness: Liveness,
+        clients: Callable[[], Iterable[Client]],
+    ) -> None:
+        self._gate = gate
+        self._config = config
+        self._motions = motions
+        self._liveness = liveness
+        self._clients = clients
+        self._since_ms = gate.ledger.mono_ms()
+        self._known: dict[str, Any] | None = None
+        self._changed = True
+        self.counted: Counter[str] = Counter()
+        self.stops = 0
+        #: What the store's disk has left; None where there is no disk.
+        self.free_bytes: Callable[[], int] | None = None
+        #: Whether the stop lane serves and answers; None where there is none.
+        self.lane_alive: Callable[[], bool] | None = None
+
+    @property
+    def uptime_ms(self) -> int:
+        """How long the gate has served."""
+        return self._gate.ledger.mono_ms() - self._since_ms
+
+    @property
+    def has_mission(self) -> bool:
+        """True while a mission is active."""
+        mission = self._active()
+        return mission is not None and mission["status"] in {"active", "closing"}
+
+    @property
+    def mission_status(self) -> str | None:
+        """How the active mission stands, None without one."""
+        mission = self._active()
+        return None if mission is None else str(mission["status"])
+
+    def mission_changed(self) -> None:
+        """Say that what is known of the active mission is old."""
+        self._changed = True
+
+    def count_decision(self, report: Report) -> None:
+        """Count a decision, or a plan that could not be read."""
+        verdict = "reject" if report.judged is None else str(report.judged.decision.verdict)
+        self.counted[f"decision.{verdict}"] += 1
+        self.mission_changed()
+
+    def count_outcome(self, report: Report) -> None:
+        """Count how something that was released ended."""
+        self.counted[f"outcome.{report.outcome}"] += 1
+        self.mission_changed()
+
+    def status(self) -> dict[str, Any]:
+        """Return what `authguard status` shows."""
+        ledger, now_ms = self._gate.ledger, self._gate.ledger.mono_ms()
+        size, head = ledger.peek(lambda turn: turn.head())
+        return {
+            "robot": self._config.robot,
+            "mode": str(self._config.mode),
+            "uptime_ms": self.uptime_ms,
+            "mission": self._active(),
+            "leases": [
+                {
+                    "ticket": lease.ticket,
+                    "action": lease.action,
+                    "for_ms": now_ms - lease.since_ms,
+                    "left_ms": lease.until_ms - now_ms,
+                }
+                for lease in self._motions.leases()
+            ],
+            "clients": [
+                {
+                    "role": str(client.role),
+                    "client": client.name,
+                    "uid": client.uid,
+                    "idle_ms": now_ms - client.heard_ms,
+                }
+                for client in self._clients()
+            ],
+            "heard": self._liveness.ages(),
+            "stops": self.stops,
+            "alerts": list(self._liveness.alerts),
+            "log": {"size": size, "head": b64(head)},
+            "refusals": {"shed": self.counted["shed"], "requests": self.counted["refused"]},
+            "disk": self._disk(),
+            "lane": None if self.lane_alive is None else {"alive": self.lane_alive()},
+            "anchor": self._gate.anchor.shown(),
+        }
+
+    def metrics(self) -> dict[str, Any]:
+        """Return counters and gauges; none of them holds the contents of a mission."""
+        decisions, outcomes = self._with("decision."), self._with("outcome.")
+        disk = self._disk()
+        roles = Counter(str(client.role) for client in self._clients())
+        return {
+            "decisions_total": decisions,
+            "outcomes_total": outcomes,
+            "shed_total": self.counted["shed"],
+            "refused_requests_total": self.counted["refused"],
+            "stops_total": self.stops,
+            "open_leases": len(self._motions),
+            "clients": dict(roles),
+            "controller_connected": int(roles[str(ClientRole.CONTROLLER)] > 0),
+            "heard_age_seconds": {
+                name.removesuffix("_ms"): age_ms / 1_000
+                for name, age_ms in self._liveness.ages().items()
+                if age_ms is not None
+            },
+            "mission_active": int(self.has_mission),
+            "log_records": self._gate.ledger.peek(lambda turn: turn.head())[0],
+            "uptime_seconds": self.uptime_ms // 1_000,
+            **({} if disk is None else {f"disk_{name}": n for name, n in disk.items()}),
+            **({} if self.lane_alive is None else {"lane_alive": int(self.lane_alive())}),
+        }
+
+    def records(self, first: int, count: int) -> list[dict[str, Any]]:
+        """Return a page of the log: each record with the values beside it, as they lie there."""
+        told: list[dict[str, Any]] = []
+        size = 0
+        for seq, record, sealed, link in self._gate.ledger.peek(
+            lambda turn: turn.rows(first, count)
+        ):
+            size += len(record) + len(sealed)
+            if told and size > _PAGE_BYTES:
+                break
+            told.append(
+                {
+                    "seq": seq,
+                    "record": msgspec.Raw(record),
+                    "sealed": msgspec.Raw(sealed),
+                    "link": b64(link),
+                }
+            )
+        return told
+
+    def explain(self, seq: int | None) -> dict[str, Any]:
+        """Return one record in words; without a number, the planner's last refused proposal.
+
+        Raises:
+            RefusedError: there is no such record.
+            MalformedError: the record is damaged.
+        """
+        wanted = self._last_refusal() if seq is None else seq
+        rows = () if wanted is None else self._gate.ledger.peek(lambda turn: turn.rows(wanted, 1))
+        if not rows:
+            raise no_record(seq)
+        number, written, beside, _ = rows[0]
+        where = f"record {number}"
+        record = read_record(written, where=where)
+        values = read_sealed(beside, where=where)
+        digest = record.open.get("mission")
+        mission = None if digest is None else self._mission_of(Digest(digest))
+        return explanation(number, record, values, mission=mission)
+
+    def _last_refusal(self) -> int | None:
+        """Return the number of the last refused proposal in the log, with those that waited."""
+        self._gate.ledger.flush()
+        size = self._gate.ledger.peek(lambda turn: turn.head())[0]
+        rows = self._gate.ledger.peek(lambda turn: turn.rows(max(0, size - _LOOKED), _LOOKED))
+        for seq, record, _, _ in reversed(rows):
+            if is_refused_proposal(read_record(record, where=f"record {seq}")):
+                return seq
+        return None
+
+    def _active(self) -> dict[str, Any] | None:
+        if self._changed:
+            try:
+                self._known = self._gate.ledger.run(self._mission)
+            except ClockError:
+                return self._gate.ledger.peek(self._as_held)
+            self._changed = False
+        return self._known
+
+    def _as_held(self, turn: Turn) -> dict[str, Any] | None:
+        """Return the active mission as it is held: showing it needs no clock, verifying it does."""
+        mid = turn.get("active", "mission")
+        if not mid:
+            return None
+        standing = self._gate.ledger.standing(MissionId(mid.decode("ascii")))
+        kept = None if standing is None else self._gate.enforcer.intake.kept(standing.digest)
+        if standing is None or kept is None:  # of a gate before this one
+            return self._known
+        return _shown(standing, kept.mission)
+
+    def _mission_of(self, digest: Digest) -> Mission | None:
+        try:
+            return self._gate.ledger.run(
+                lambda act: self._gate.enforcer.intake.mission(act, digest).mission
+            )
+        except AuthGuardError:
+            return None  # revoked since, or gone: the record is explained without a change
+
+    def _mission(self, act: Act) -> dict[str, Any] | None:
+        mid = act.active()
+        standing = None if mid is None else act.standing(mid)
+        if standing is None:
+            return None
+        verified = self._gate.enforcer.intake.mission(act, standing.digest)
+        return _shown(standing, verified.mission)
+
+    def _disk(self) -> dict[str, int] | None:
+        """Return what the store's disk has left, and what is kept back of it; None: unknown."""
+        if self.free_bytes is None:
+            return None
+        try:
+            free = self.free_bytes()
+        except OSError:
+            return None
+        return {"free_bytes": free, "reserve_bytes": self._config.reserve_bytes}
+
+    def _with(self, prefix: str) -> dict[str, int]:
+        return {
+            name.removeprefix(prefix): count
+            for name, count in self.counted.items()
+            if name.startswith(prefix)
+        }
+
+
+def _shown(standing: Standing, mission: Mission) -> dict[str, Any]:
+    """Return what `status` says of a mission."""
+    return {
+        "mid": standing.mid,
+        "version": standing.version,
+        "status": str(standing.status),
+        "issuer": mission.issuer,
+        "expiry": mission.expiry,
+        "closes": to_timestamp(standing.closes_ms) if standing.closes_ms else None,
+        "open": [release.ticket for release in standing.open],
+        "requests": msgspec.to_builtins(standing.requests),
+        "prompts": standing.prompts,
+        "grants": [
+            {
+                "id": grant.id,
+                "type": grant.type,
+                "starts": use_of(standing, grant.id).starts,
+                "of": grant.starts,
+            }
+            for grant in mission.actions
+        ],
+    }

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a key becomes a principal's without ever leaving its machine: request and answer, as files.
+
+A request is a PKCS#10 request for each key, which proves that its maker holds it, and what is
+wanted; each proof names the digest of what is wanted, so nobody in between changes it. An answer
+is the certificates, and everything that a machine needs to believe them.
+Spec page: docs/spec/token.md#requests
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from typing import Annotated, Literal
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509.oid import NameOID
+from msgspec import Meta, Struct
+
+from authguard_r.core.encoding import b64, decode, encode_fast, unb64
+from authguard_r.core.errors import AuthenticityError, MalformedError
+from authguard_r.core.identifiers import (
+    Base64Url,
+    Digest,
+    Identifier,
+    PrincipalId,
+    RegionId,
+    RobotId,
+)
+from authguard_r.core.ports import Endorsed
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import Endorsement
+from authguard_r.keys.algorithms import PRIVATE, PublicKey, algorithm_of, require_sound
+from authguard_r.keys.certificate import Leaf, Role, load
+from authguard_r.keys.pkcs11 import request_of
+from authguard_r.keys.revocation import RevocationList, read_list
+from authguard_r.keys.signer import FileSigner, SigningKey
+from authguard_r.keys.trust import ROOT_LISTS, Trust
+
+_REQUEST = "authguard-r/key-request/1"
+#: What the library says of bytes that are no request, or one that says something else.
+_NO_REQUEST = (
+    ValueError,
+    UnsupportedAlgorithm,
+    x509.DuplicateExtension,
+    x509.ExtensionNotFound,
+    x509.InvalidVersion,
+    x509.UnsupportedGeneralNameType,
+)
+_WANTED = "urn:authguard-r:wanted:"
+_Proofs = Annotated[tuple[Base64Url, ...], Meta(min_length=1, max_length=2)]
+
+
+class Wanted(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """What somebody asks a certificate for; the authority decides whether it gives it.
+
+    Args:
+        principal: whose key it is.
+        role: what it shall sign.
+        robots: those that it shall sign for, a machine's own among them.
+        every_robot: all of them instead.
+        regions: where.
+        every_region: everywhere instead.
+        profile: for a gate, the digest of its robot's capability profile.
+        template: for a scheduler, the digest of its template.
+    """
+
+    principal: PrincipalId
+    role: Role
+    robots: tuple[RobotId, ...] = ()
+    every_robot: bool = False
+    regions: tuple[RegionId, ...] = ()
+    every_region: bool = False
+    profile: Digest | None = None
+    template: Digest | None = None
+
+
+class Request(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """The file that goes to the authority.
+
+    Args:
+        format: name and version.
+        wanted: see there.
+        proofs: a PKCS#10 request of each key, DER, in the order of the roots.
+        renews: signatures by the key that has the name now, when this one shall follow it.
+    """
+
+    format: Literal["authguard-r/key-request/1"]
+    wanted: Wanted
+    proofs: _Proofs
+    renews: tuple[Endorsement, ...] = ()
+
+
+class OpenedRequest(Struct, frozen=True, kw_only=True):
+    """A request whose maker holds the keys; that it is who it says, nobody has vouched for.
+
+    Args:
+        wanted: what is asked for.
+        keys: the keys, sound.
+        message: what the key before signs.
+        renews: its signatures, not looked at yet.
+    """
+
+    wanted: Wanted
+    keys: tuple[PublicKey, ...]
+    message: bytes
+    renews: tuple[Endorsed, ...]
+
+
+class Answer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The file that comes back: certificates, and what a machine needs to believe them.
+
+    Args:
+        format: name and version.
+        chains: leaf and authority of each key, DER.
+        roots: the root certificates, DER.
+        authorities: every role authority's certificate by its name, DER.
+        lists: the signed revocation lists by their authority's name.
+    """
+
+    format: Literal["authguard-r/key-answer/1"]
+    chains: Annotated[tuple[tuple[Base64Url, Base64Url], ...], Meta(min_length=1, max_length=2)]
+    roots: _Proofs
+    authorities: dict[Identifier, Base64Url]
+    lists: dict[Identifier, str]
+
+
+class OpenedAnswer(Struct, frozen=True, kw_only=True):
+    """An answer that holds under its own roots; whether they are the right ones, a person says.
+
+    Args:
+        trust: its roots and lists.
+        chains: leaf and authority of each key, DER.
+        leaves: what they say.
+        authorities: every role authority's certificate by its name.
+        lists: the lists by their authority's name.
+    """
+
+    trust: Trust
+    chains: tuple[tuple[bytes, bytes], ...]
+    leaves: tuple[Leaf, ...]
+    authorities: dict[str, x509.Certificate]
+    lists: dict[str, RevocationList]
+
+
+def make_request(
+    wanted: Wanted, keys: tuple[SigningKey, ...], *, before: FileSigner | None = None
+) -> bytes:
+    """Return the request's bytes.
+
+    Args:
+        wanted: what is asked for.
+        keys: the new keys, in the order of the roots.
+        before: the key that has the name now, when the new one shall follow it.
+    """
+    proofs = tuple(b64(_proof(wanted, key)) for key in keys)
+    renews: tuple[Endorsement, ...] = ()
+    if before is not None:
+        renews = tuple(
+            Endorsement(chain=tuple(b64(der) for der in chain), signature=b64(signature))
+            for chain, signature in before.endorse(_message(wanted, proofs))
+        )
+    request = Request(
+        format="authguard-r/key-request/1", wanted=wanted, proofs=proofs, renews=renews
+    )
+    return encode_fast(request) + b"\n"
+
+
+def open_request(data: bytes) -> OpenedRequest:
+    """Return what a request asks for, once its maker is known to hold the keys.
+
+    Raises:
+        MalformedError: no canonical request, or one that nobody could grant.
+        AuthenticityError: a proof does not hold, or is for something else.
+    """
+    request = decode(data.removesuffix(b"\n"), Request, where="request")
+    _require_sense(request.wanted)
+    keys = tuple(
+        _proven(unb64(proof, where="request.proofs"), request.wanted, where="request.proofs")
+        for proof in request.proofs
+    )
+    if len(set(map(algorithm_of, keys))) < len(keys):
+        raise MalformedError("expected keys of different algorithms", where="request.proofs")
+    renews = tuple(
+        (
+            tuple(unb64(der, where="request.renews") for der in item.chain),
+            unb64(item.signature, where="request.renews"),
+        )
+        for item in request.renews
+    )
+    message = _message(request.wanted, request.proofs)
+    return OpenedRequest(wanted=request.wanted, keys=keys, message=message, renews=renews)
+
+
+def open_answer(data: bytes, now: Now) -> OpenedAnswer:
+    """Return an answer, once everything in it holds under the roots that it brings.
+
+    Raises:
+        MalformedError: no canonical answer, or a list is none.
+        AuthenticityError: a certificate or list does not hold at `now`.
+    """
+    answer = decode(data.removesuffix(b"\n"), Answer, where="answer")
+    roots = tuple(_certificate(text, where="answer.roots") for text in answer.roots)
+    named = dict(zip(ROOT_LISTS, roots, strict=False))
+    authorities = {
+        name: _certificate(text, where=f"answer.authorities.{name}")
+        for name, text in answer.authorities.items()
+    }
+    if set(answer.lists) != {*named, *authorities} or named.keys() & authorities.keys():
+        raise MalformedError("expected the list of each authority", where="answer.lists")
+    lists = {
+        name: _list(answer.lists[name], name, certificate)
+        for name, certificate in {**named, **authorities}.items()
+    }
+    ders = {n: c.public_bytes(Encoding.DER) for n, c in {**named, **authorities}.items()}
+    trust = Trust(roots, {ders[name]: found for name, found in lists.items()})
+    chains = tuple(
+        (unb64(leaf, where="answer.chains"), unb64(authority, where="answer.chains"))
+        for leaf, authority in answer.chains
+    )
+    leaves = tuple(trust.identify(chain, now) for chain in chains)
+    if [leaf.root for leaf in leaves] != list(range(len(roots))):
+        raise MalformedError("expected a certificate under each root", where="answer.chains")
+    return OpenedAnswer(
+        trust=trust, chains=chains, leaves=leaves, authorities=authorities, lists=lists
+    )
+
+
+def fingerprint(roots: tuple[x509.Certificate, ...]) -> str:
+    """Return what people compare: SHA-256 over the roots' DER, in hexadecimal."""
+    return sha256(b"".join(root.public_bytes(Encoding.DER) for root in roots)).hexdigest()
+
+
+def key_fingerprint(key: PublicKey) -> str:
+    """Return SHA-256 over a public key, in hexadecimal: what two people read to each other."""
+    return sha256(key.public_bytes_raw()).hexdigest()
+
+
+def _proof(wanted: Wanted, key: SigningKey) -> bytes:
+    uri = x509.UniformResourceIdentifier(_WANTED + _wanted_digest(wanted))
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, wanted.principal)])
+    builder = x509.CertificateSigningRequestBuilder().subject_name(name)
+    builder = builder.add_extension(x509.SubjectAlternativeName([uri]), critical=False)
+    if isinstance(key, PRIVATE):
+        return builder.sign(key, None).public_bytes(Encoding.DER)
+    return request_of(builder, key)
+
+
+def _proven(der: bytes, wanted: Wanted, *, where: str) -> PublicKey:
+    """Return the key of a PKCS#10 request that its holder made for exactly this."""
+    try:
+        csr = x509.load_der_x509_csr(der)
+        key = require_sound(csr.public_key(), where=where)
+        holds = csr.is_signature_valid
+        names = csr.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        said = names.get_values_for_type(x509.UniformResourceIdentifier)
+    except _NO_REQUEST as error:
+        raise _unproven("expected a PKCS#10 request", where) from error
+    if not holds or said != [_WANTED + _wanted_digest(wanted)]:
+        raise _unproven("expected a proof by the key, for what is wanted here", where)
+    return key
+
+
+def _wanted_digest(wanted: Wanted) -> str:
+    return b64(sha256(f"{_REQUEST}\0".encode() + encode_fast(wanted)).digest())
+
+
+def _message(wanted: Wanted, proofs: tuple[str, ...]) -> bytes:
+    """Return what the key before signs, to hand its name on to these keys and no others."""
+    said = encode_fast({"proofs": proofs, "wanted": wanted})
+    return sha256(f"{_REQUEST}/renews\0".encode() + said).digest()
+
+
+def _require_sense(wanted: Wanted) -> None:
+    """Refuse what no certificate of the profile can say, before anybody looks at it."""
+    robots, role = len(wanted.robots), wanted.role
+    for name, every in (("robots", wanted.every_robot), ("regions", wanted.every_region)):
+        given: tuple[str, ...] = getattr(wanted, name)
+        if (every and given) or list(given) != sorted(set(given)):
+            raise MalformedError(
+                "expected distinct names in order, or every one", where=f"request.{name}"
+            )
+    if role in {Role.GATE, Role.ESTIMATOR} and robots != 1:
+        raise MalformedError("expected the one robot that it is of", where="request.robots")
+    if (wanted.profile is not None) is not (role is Role.GATE):
+        raise MalformedError("expected a gate's, and only a gate's", where="request.profile")
+    if (wanted.template is not None) is not (role is Role.SCHEDULER):
+        raise MalformedError("expected a scheduler's, and only its", where="request.template")
+
+
+def _certificate(text: str, *, where: str) -> x509.Certificate:
+    return load(unb64(text, where=where), where=where)
+
+
+def _list(text: str, name: str, authority: x509.Certificate) -> RevocationList:
+    key = require_sound(authority.public_key(), where=f"answer.authorities.{name}")
+    return read_list(text.encode("utf-8"), authority=name, key=key)
+
+
+def _unproven(message: str, where: str) -> AuthenticityError:
+    return AuthenticityError(message, reason=Reason.SIGNATURE_INVALID, where=where)
+
+
+def make_answer(
+    chains: tuple[tuple[bytes, bytes], ...],
+    roots: tuple[x509.Certificate, ...],
+    authorities: dict[str, bytes],
+    lists: dict[str, bytes],
+) -> bytes:
+    """Return the answer's bytes.
+
+    Args:
+        chains: leaf and authority of each key, DER.
+        roots: the root certificates.
+        authorities: the role authorities' certificates by name, DER.
+        lists: the signed revocation lists by their authority's name.
+    """
+    answer = Answer(
+        format="authguard-r/key-answer/1",
+        chains=tuple((b64(leaf), b64(authority)) for leaf, authority in chains),
+        roots=tuple(b64(root.public_bytes(Encoding.DER)) for root in roots),
+        authorities={name: b64(der) for name, der in authorities.items()},
+        lists={name: data.decode("ascii") for name, data in lists.items()},
+    )
+    return encode_fast(answer) + b"\n"

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The acts that give, narrow, settle or end authority; each is one record.
+
+Activation needs the signed mission itself, or an instance of a signed template. Everything else is
+a command signed by somebody who may give it: narrowing (suspend, revoke, withdraw) by the issuer or
+any safety officer, widening and settling (resume, resolve, complete) by the issuer. Source: section
+"Mission Compilation and Clarification" (updates), `alg:authguard` (the registry R).
+Spec page: docs/spec/standing.md#commands
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from authguard_r.approvals import approver_json
+from authguard_r.approvals.organization import VerifiedPolicy
+from authguard_r.core.approval import VerifiedApproval
+from authguard_r.core.encoding import Tag
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.identifiers import Digest, MissionId
+from authguard_r.core.ports import Verifier
+from authguard_r.core.standing import Standing
+from authguard_r.core.token import read_token
+from authguard_r.intake import Intake
+from authguard_r.ledger import Act, Ledger
+from authguard_r.management.activation import activate
+from authguard_r.management.orders import carry_out, choose
+from authguard_r.management.parts import Parts, attempt, entry
+from authguard_r.management.policy import hold_policy
+from authguard_r.management.recovery import mark_started, mark_stopped, recover
+from authguard_r.management.repetition import admit, withdraw
+from authguard_r.management.rollback import AcceptedStore, accept_store
+from authguard_r.templates import TemplateStanding
+
+T = TypeVar("T")
+
+
+class Management:
+    """The operator's side of one robot's gate.
+
+    Args:
+        ledger: store and trusted time.
+        intake: verifies missions, templates and approvals.
+        verifier: verifies commands and selections.
+        facts: the signed site and the gate's identity.
+    """
+
+    def __init__(
+        self, ledger: Ledger, intake: Intake, *, verifier: Verifier, facts: SiteFacts
+    ) -> None:
+        self._ledger = ledger
+        self._intake = intake
+        self._parts = Parts(intake=intake, verifier=verifier, facts=facts)
+
+    def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
+        """Take in a mission, or the next version of the active one, and make it active.
+
+        Args:
+            token: the signed mission, or a scheduler's signed instance of a template that was
+                taken in before.
+            confirmation: the record of its signing; goes into the log, sealed, when it is of
+                this mission. It grants nothing.
+
+        Raises:
+            MalformedError: neither a mission nor an instance token, or not schema-valid.
+            AuthenticityError: certificate or signature does not hold.
+            AuthGuardError: with the reason that speaks against it; nothing was changed.
+        """
+        return self._do(lambda act: activate(act, token, confirmation, parts=self._parts))
+
+    def template(self, token: bytes, *, confirmation: bytes | None = None) -> TemplateStanding:
+        """Take in a signed template, or carry out the signed command that withdraws one.
+
+        Taking one in activates nothing and takes nothing from the active mission. Withdrawing
+        one revokes the active mission that was made of it.
+
+        Args:
+            token: the signed template, or the signed `withdraw`.
+            confirmation: the record of the template's signing; goes into the log, sealed, when
+                it is of this template. It grants nothing.
+
+        Raises:
+            AuthGuardError: malformed, not authentic, not allowed, here already or gone.
+        """
+
+        def job(act: Act) -> TemplateStanding:
+            if read_token(token).kind is Tag.COMMAND:
+                return withdraw(act, token, parts=self._parts)
+            return admit(act, token, confirmation, parts=self._parts)
+
+        return self._do(job)
+
+    def command(self, token: bytes) -> Standing:
+        """Carry out a signed command about a mission once.
+
+        Raises:
+            AuthGuardError: malformed, not authentic, not allowed, or not possible now.
+        """
+        return self._do(lambda act: carry_out(act, token, parts=self._parts))
+
+    def accept_store(self, token: bytes) -> AcceptedStore:
+        """Go on with a store that was put back, as a signed order says; the counter is written.
+
+        Raises:
+            AuthGuardError: malformed, not authentic, not allowed, or of another store; nothing was
+                changed.
+            EnvironmentFault: the counter cannot be written: the order is used up, and nothing goes
+                on.
+        """
+
+        def job(act: Act) -> AcceptedStore:
+            return accept_store(act, token, parts=self._parts)
+
+        done = attempt(self._ledger, job)
+        self._intake.anchor.accepted()
+        return done
+
+    def select(self, token: bytes) -> Standing:
+        """Take in a signed choice of one row.
+
+        Raises:
+            AuthGuardError: malformed, not authentic, or not the chooser's to make.
+        """
+        return self._do(lambda act: choose(act, token, parts=self._parts))
+
+    def approve(self, token: bytes, *, why: str = "") -> VerifiedApproval:
+        """Keep a signed answer to an approval request; whether it fits is decided at use.
+
+        Args:
+            token: the signed answer.
+            why: the approver's words; they go into the log, sealed, and to no planner (L5).
+
+        Raises:
+            AuthGuardError: malformed or not authentic.
+        """
+
+        def job(act: Act) -> VerifiedApproval:
+            item = self._intake.take_approval(act, token)
+            opened: dict[str, object] = {
+                "verb": "answer",
+                **approver_json(item.approver),
+                "verdict": item.approval.verdict,
+                "counter": item.approval.counter,
+            }
+            sealed: dict[str, object] = {"token": token.decode("ascii").strip()}
+            sealed |= {"why": why} if why else {}
+            act.record(entry(act, item.approval.mid, opened, sealed))
+            return item
+
+        return self._do(job)
+
+    def hold_policy(self, policy: VerifiedPolicy | None) -> None:
+        """Hold the organization's risk policy, or that there is none, against what was seen.
+
+        Asked once, before anything is decided; what is in force is the wiring's (`SiteFacts.risk`).
+
+        Args:
+            policy: the one in force; None: none is.
+
+        Raises:
+            RefusedError: it is older than one that was seen, another of the same version or of
+                another organization; or there is none, and there was one.
+        """
+        attempt(self._ledger, lambda act: hold_policy(act, policy))
+
+    def standing(self, mid: MissionId) -> Standing | None:
+        """Return a mission's standing as it is held."""
+        return self._ledger.run(lambda act: act.standing(mid))
+
+    def started(self) -> bool:
+        """Mark this gate as running, on disk; True when the one before never stopped cleanly.
+
+        Asked once, before anything is served; `recover` is told the answer.
+
+        Raises:
+            EnvironmentFault: nothing was marked.
+        """
+        return self._ledger.run(mark_started, essential=True)
+
+    def stopped(self) -> None:
+        """Mark that the gate stopped cleanly: nothing is released after this.
+
+        Raises:
+            EnvironmentFault: nothing was marked; the next start will call this stop unclean.
+        """
+        self._ledger.run(mark_stopped, essential=True)
+
+    def recover(self, *, unclean: bool = False) -> tuple[Digest, ...]:
+        """After a stop: settle what attested state settles, suspend for the rest.
+
+        A release without an outcome may have happened or not. `done_when`, attested, says that it
+        succeeded; else the mission waits, suspended, for a signed `resolve`. A mission that is
+        closing goes on closing: what is in flight counts as used.
+
+        Args:
+            unclean: the gate before never said that it stopped (`started`): the active mission is
+                suspended even when nothing is open, for nobody knows what the robot did since.
+
+        Returns:
+            Tickets that only a person can settle.
+
+        Raises:
+            RefusedError: the store has seen an organization's policy, and this gate has none.
+        """
+        self._intake.refresh()
+
+        def job(act: Act) -> tuple[Digest, ...]:
+            if not self._parts.facts.risk:
+                hold_policy(act, None)  # whoever has seen one decides nothing without it
+            return recover(act, unclean=unclean, parts=self._parts)
+
+        return self._ledger.run(job, essential=True)
+
+    def _do(self, job: Callable[[Act], T]) -> T:
+        """Carry an order out, unless the store was put back and nobody has accepted it."""
+
+        def held(act: Act) -> T:
+            self._intake.anchor.require()
+            return job(act)
+
+        return attempt(self._ledger, held)
+
+
+__all__ = ["Management"]

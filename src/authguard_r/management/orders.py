@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signed commands and choices about a mission that is here.
+
+Spec page: docs/spec/standing.md#commands
+"""
+
+from __future__ import annotations
+
+from authguard_r.approvals import open_selection
+from authguard_r.commands import EVENTS, NARROWING, Command, Verb
+from authguard_r.core.encoding import Tag
+from authguard_r.core.identifiers import Digest, PrincipalId
+from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.mission import Grant
+from authguard_r.core.provenance import Chooser
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish, select, settle
+from authguard_r.core.token import Principal, VerifiedMission, open_token
+from authguard_r.intake import ISSUER_ROLES
+from authguard_r.ledger import Act
+from authguard_r.management.parts import Parts, entry, refuse, replayed, require_signed_since
+from authguard_r.management.repetition import require_fresh
+
+#: Open releases that a message names; a mission has one for each lease that was lost.
+_NAMED = 4
+
+
+def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
+    """Carry out a signed command about a mission once."""
+    command, _, signer = open_token(
+        token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
+    )
+    standing, verified = _require_current(act, command, signer, parts)
+    after = _carried_out(act, command, standing, verified)
+    if after is None:
+        raise refuse(Reason.TRANSITION_REFUSED, _refusal(command.verb, standing))
+    act.hold(after)
+    act.put("command", command.nonce, b"1")
+    if after.status in TERMINAL:
+        act.make_active(None)
+        parts.intake.forget()
+    opened: dict[str, object] = {
+        "verb": command.verb,
+        "by": signer.id,
+        "role": signer.role,
+        "version": command.version,
+        "status": after.status,
+    }
+    act.record(entry(act, command.mid, opened, {"command": command}))
+    return after
+
+
+def _require_current(
+    act: Act, command: Command, signer: Principal, parts: Parts
+) -> tuple[Standing, VerifiedMission]:
+    require_fresh(act, command)
+    standing = act.standing(command.mid)
+    if standing is None or standing.digest != command.mission:
+        raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
+    if not signer.scope.covers(standing.rid):
+        raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
+    verified = parts.intake.mission(act, standing.digest)
+    mine = signer.id == verified.mission.issuer
+    if not mine and not (command.verb in NARROWING and signer.role == "safety_officer"):
+        raise refuse(Reason.ROLE_DENIED, f"`{signer.id}` may not {command.verb} this mission")
+    return standing, verified
+
+
+def _carried_out(
+    act: Act, command: Command, standing: Standing, verified: VerifiedMission
+) -> Standing | None:
+    if command.verb is Verb.RESUME and standing.open:
+        return None  # what nobody knows is resolved first
+    if command.verb is not Verb.RESOLVE:
+        event = EVENTS.get(command.verb)
+        after = None if event is None else advance(standing, event)
+        return None if after is None else finish(after, verified.mission, act.now)
+    if command.ticket is None or command.outcome in {None, Outcome.UNKNOWN}:
+        return None
+    if all(release.ticket != command.ticket for release in standing.open):
+        return None
+    after = settle(
+        standing,
+        verified.mission,
+        ticket=command.ticket,
+        outcome=Outcome(command.outcome),
+        used=_reserved(standing, command.ticket),
+    )
+    return finish(after, verified.mission, act.now)
+
+
+def _refusal(verb: Verb, standing: Standing) -> str:
+    """Return why nothing became of an order, and what would: open releases are resolved first."""
+    told = f"the mission is {standing.status}: no {verb}"
+    if verb is not Verb.RESUME or not standing.open:
+        return told
+    tickets = ", ".join(f"`{release.ticket}`" for release in standing.open[:_NAMED])
+    more = f" and {len(standing.open) - _NAMED} more" if len(standing.open) > _NAMED else ""
+    return (
+        f"{told} while nobody has said how {tickets}{more} ended: "
+        "`authguard mission resolve TOKEN --ticket T --outcome ...` for each"
+    )
+
+
+def choose(act: Act, token: bytes, *, parts: Parts) -> Standing:
+    """Take in a signed choice of one row once."""
+    selection, signer = open_selection(token, verifier=parts.verifier, now=act.now)
+    standing = act.standing(selection.mid)
+    named = (selection.mission, selection.version)
+    if standing is None or (standing.digest, standing.version) != named:
+        raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
+    if standing.status in TERMINAL:
+        raise replayed(standing)
+    if act.now.utc_ms > selection.expires_ms or act.get("command", selection.nonce) is not None:
+        raise refuse(Reason.EXPIRED, "the selection ran out or was taken in already")
+    require_signed_since(act, selection.issued_ms)
+    verified = parts.intake.mission(act, standing.digest)
+    grant = next((g for g in verified.mission.actions if g.id == selection.grant), None)
+    if grant is None or selection.row >= len(grant.alternatives):
+        raise refuse(Reason.SCHEMA_INVALID, "the mission has no such row", "selection.row")
+    row = grant.alternatives[selection.row]
+    places = (place for place in (row.source, row.destination, *row.regions) if place is not None)
+    if not signer.scope.covers(standing.rid, places):
+        raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say there")
+    if not _may_choose(grant, signer, verified.mission.issuer):
+        raise refuse(Reason.ROLE_DENIED, f"the choice is the {grant.chooser}'s")
+    chosen = select(standing, grant.id, selection.row)
+    act.hold(chosen)
+    act.put("command", selection.nonce, b"1")
+    opened: dict[str, object] = {
+        "verb": "select",
+        "by": signer.id,
+        "grant": grant.id,
+        "row": selection.row,
+    }
+    sealed: dict[str, object] = {"token": token.decode("ascii").strip()}
+    act.record(entry(act, selection.mid, opened, sealed))
+    return chosen
+
+
+def _may_choose(grant: Grant, signer: Principal, issuer: PrincipalId) -> bool:
+    if grant.chooser is Chooser.OPERATOR:
+        return signer.id == issuer
+    return grant.chooser is Chooser.SUPERVISOR and signer.role == "supervisor"
+
+
+def _reserved(standing: Standing, ticket: Digest) -> Spend:
+    """Nobody knows what it used, so all of it counts as used."""
+    return next((r.reserved for r in standing.open if r.ticket == ticket), Spend())

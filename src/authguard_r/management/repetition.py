@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Templates at the gate: taken in once, used up mission by mission, withdrawn by a signature.
+
+Spec page: docs/spec/template.md#at-the-gate
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from authguard_r.commands import NARROWING, Command, Verb
+from authguard_r.core.checks.mission import binding_findings
+from authguard_r.core.encoding import Tag, decode, encode_fast, unb64
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.lifecycle import TERMINAL, Event
+from authguard_r.core.quantities import to_ms
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import advance
+from authguard_r.core.token import open_token, read_token
+from authguard_r.intake import ISSUER_ROLES, claimed_template
+from authguard_r.ledger import Act, read_held
+from authguard_r.management.parts import Parts, entry, refuse, require_signed_since
+from authguard_r.templates import (
+    Instantiated,
+    KeptTemplate,
+    Pair,
+    Template,
+    TemplateStanding,
+    combinations,
+    filled,
+    is_pair,
+)
+from authguard_r.templates.confirmation import template_inputs
+
+
+class Used(Struct, frozen=True, kw_only=True):
+    """One instance that counts, before anything is held."""
+
+    made: Instantiated
+    kept: KeptTemplate
+
+    def pair(self, token: bytes) -> bytes:
+        """Return what is held under the mission's digest: both tokens, to be verified again."""
+        text = token.decode("ascii").strip()
+        return encode_fast(Pair(instance=text, template=self.kept.token))
+
+    def hold(self, act: Act) -> None:
+        """Count the instance, in the commit that makes its mission the active one."""
+        act.put("template", self.made.template.digest, encode_fast(self.kept))
+
+    def sealed(self, token: bytes) -> dict[str, object]:
+        """Return both tokens, from which the mission is made again without this store."""
+        return {"token": token.decode("ascii").strip(), "template": self.kept.token}
+
+    def opened(self) -> dict[str, object]:
+        """Return what the mission's record says of where it came from."""
+        return {
+            "scheduler": self.made.scheduler.id,
+            "template": self.made.template.digest,
+            "instance": self.kept.used,
+        }
+
+
+def use_instance(act: Act, token: bytes, parts: Parts) -> Used:
+    """Return the mission of an instance, counted against what its template allows."""
+    made, kept = parts.intake.verify_instance(token, act)
+    template = made.template.template
+    if kept.used >= template.instances:
+        text = f"all {template.instances} missions of `{template.template}` were made"
+        raise refuse(Reason.STARTS_EXHAUSTED, text, "template.instances")
+    recent = kept.in_window(template.rate, act.now)
+    if len(recent) >= template.rate.count:
+        text = f"{template.rate.count} missions in {template.rate.per_ms} ms are all there may be"
+        raise refuse(Reason.RATE_EXCEEDED, text, "template.rate")
+    counted = replace(kept, used=kept.used + 1, recent=(*recent, act.now.mono_ms))
+    return Used(made=made, kept=counted)
+
+
+def admit(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts) -> TemplateStanding:
+    """Keep an authentic template that this robot could carry out, once."""
+    verified = parts.intake.verify_template(token, act)
+    template = verified.template
+    for finding in binding_findings(filled(template, next(combinations(template))), parts.facts):
+        text = f"expected `{finding.got}`, got `{finding.expected}`"
+        raise refuse(finding.reason, text, f"template.{finding.field}")
+    if act.now.utc_ms > to_ms(template.not_after, where="template.not_after"):
+        raise refuse(Reason.EXPIRED, f"it ended at {template.not_after}", "template.not_after")
+    known = parts.intake.kept_template(act, verified.digest)
+    if known is not None:
+        reason = Reason.REVOKED if known.withdrawn else Reason.TRANSITION_REFUSED
+        said = "was withdrawn" if known.withdrawn else "is here already"
+        raise refuse(reason, f"`{template.template}` {said}", "template")
+    kept = KeptTemplate(token=token.decode("ascii").strip())
+    act.put("template", verified.digest, encode_fast(kept))
+    opened: dict[str, object] = {
+        "verb": "template",
+        "by": verified.issuer.id,
+        "role": verified.issuer.role,
+        "template": verified.digest,
+        "instances": template.instances,
+    }
+    sealed = template_inputs(token, confirmation, template)
+    act.record(entry(act, template.template, opened, sealed))
+    return _standing(template, verified.digest, kept)
+
+
+def withdraw(act: Act, token: bytes, *, parts: Parts) -> TemplateStanding:
+    """Make nothing of a template any more, and revoke the active mission that it made."""
+    command, _, signer = open_token(
+        token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
+    )
+    if command.verb is not Verb.WITHDRAW:
+        raise refuse(Reason.TRANSITION_REFUSED, f"no {command.verb} of a template", "command.verb")
+    require_fresh(act, command)
+    kept = parts.intake.kept_template(act, command.mission)
+    if kept is None:
+        raise refuse(Reason.MISSION_UNKNOWN, "no such template is here", "template")
+    if not signer.scope.covers(parts.facts.robot.rid):
+        raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
+    template = _template_of(kept)
+    if signer.id != template.mission["issuer"] and signer.role != "safety_officer":
+        raise refuse(Reason.ROLE_DENIED, f"`{signer.id}` may not withdraw this", "template")
+    if kept.withdrawn:
+        raise refuse(Reason.REVOKED, "it was withdrawn before", "template")
+    gone = replace(kept, withdrawn=True)
+    act.put("template", command.mission, encode_fast(gone))
+    act.put("command", command.nonce, b"1")
+    opened: dict[str, object] = {
+        "verb": command.verb,
+        "by": signer.id,
+        "role": signer.role,
+        "template": command.mission,
+        "used": kept.used,
+    }
+    act.record(entry(act, template.template, opened, {"command": command}))
+    _revoke_active(act, command.mission)
+    parts.intake.forget()
+    return _standing(template, command.mission, gone)
+
+
+def require_fresh(act: Act, command: Command) -> None:
+    """Refuse an order that ran out, or that was carried out before."""
+    if act.now.utc_ms > command.expires_ms or act.get("command", command.nonce) is not None:
+        raise refuse(Reason.EXPIRED, "the command ran out or was carried out already")
+    if command.verb not in NARROWING and command.verb is not Verb.ACCEPT_STORE:
+        require_signed_since(act, command.issued_ms)
+
+
+def _revoke_active(act: Act, template: Digest) -> None:
+    """Revoke the active mission when this template made it; it leaves a record of its own."""
+    mid = act.active()
+    standing = act.standing(mid) if mid is not None else None
+    if standing is None or standing.status in TERMINAL:
+        return
+    held = act.token(standing.digest)
+    if held is None or not is_pair(held):
+        return
+    pair = read_held(held, Pair, "token")
+    revoked = advance(standing, Event.REVOKE)
+    if claimed_template(pair.instance.encode("utf-8")) != template or revoked is None:
+        return
+    act.hold(revoked)
+    act.make_active(None)
+    opened: dict[str, object] = {"verb": "revoke", "by": "withdraw", "status": revoked.status}
+    act.record(entry(act, revoked.mid, opened))
+
+
+def _template_of(kept: KeptTemplate) -> Template:
+    """Return a template that was verified when it was taken in.
+
+    Its issuer's certificate may have ended since; that must not keep anybody from withdrawing it.
+    """
+    payload = unb64(read_token(kept.token.encode("utf-8")).payload, where="template")
+    return decode(payload, Template, where="template")
+
+
+def _standing(template: Template, hashed: Digest, kept: KeptTemplate) -> TemplateStanding:
+    return TemplateStanding(
+        template=template.template,
+        digest=hashed,
+        instances=template.instances,
+        used=kept.used,
+        withdrawn=kept.withdrawn,
+    )

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Open approval requests: whose answers count and why not, and where the log has what was asked.
+
+Whether an answer counts, the core says (`core.checks.approval`), asked here with that answer alone:
+nothing is decided twice. What was asked is in the decision's record, so only its number is held.
+Spec page: docs/spec/approval.md#answers
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msgspec import Struct, structs
+
+from authguard_r.approvals import approver_json
+from authguard_r.audit.record import Entry
+from authguard_r.core.action import Action
+from authguard_r.core.approval import Verdict, VerifiedApproval
+from authguard_r.core.checks.approval import Need, check_approval
+from authguard_r.core.checks.case import Case
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.identifiers import MissionId
+from authguard_r.core.mission import Grant, RiskPolicy
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import ApprovalRequest, Standing
+from authguard_r.core.token import VerifiedMission
+from authguard_r.ledger import Act
+from authguard_r.report import Judged
+
+_HELD = "question"
+
+
+class Asked(Struct, frozen=True, kw_only=True):
+    """One open request with everything that says whether an answer to it counts.
+
+    Args:
+        verified: the mission.
+        grant: the grant that asked.
+        request: the request.
+        action: what was proposed, from the log.
+        standing: the registry's entry, with the request in it.
+        facts: the signed site, the gate's identity, the organization's policies.
+    """
+
+    verified: VerifiedMission
+    grant: Grant
+    request: ApprovalRequest
+    action: Action
+    standing: Standing
+    facts: SiteFacts
+
+    @property
+    def policies(self) -> tuple[RiskPolicy, ...]:
+        """The mission's policy and the organization's."""
+        return (self.verified.mission.risk_policy, *self.facts.risk)
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Roles whose holders may answer: those that every policy names."""
+        named = [set(policy.roles) for policy in self.policies]
+        return tuple(sorted(set.intersection(*named)))
+
+
+def counts(asked: Asked, item: VerifiedApproval, now: Now) -> bool:
+    """True when the check, with this answer alone, says another thing than with none."""
+    return bool(_checked(asked, (item,), now) != _checked(asked, (), now))
+
+
+def behind(asked: Asked, items: tuple[VerifiedApproval, ...], now: Now) -> int:
+    """Return how many people stand behind the action, the issuer included, as the check counts."""
+    enough = [n for n in range(1, asked.request.required + 1) if not _checked(asked, items, now, n)]
+    return max(enough, default=1)
+
+
+def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
+    """Return the code of why an answer does not count; empty when it does.
+
+    The check decides; this only names what is wrong, for whoever answered and for the log.
+
+    Args:
+        asked: the open request of its number; None when there is none.
+        item: the answer.
+        now: the instant to ask about.
+    """
+    if asked is None:
+        return str(Reason.APPROVAL_TIMEOUT)
+    if now.utc_ms <= asked.request.expires_ms and counts(asked, item, now):
+        return ""
+    said, signer, verified = item.approval, item.approver, asked.verified
+    wrong = (
+        (said.rid != asked.facts.robot.rid, Reason.ROBOT_MISMATCH),
+        (said.mid != verified.mission.mid, Reason.MISSION_UNKNOWN),
+        ((said.version, said.mission) != _named(verified), Reason.SUPERSEDED),
+        (said.counter != asked.request.counter, Reason.APPROVAL_TIMEOUT),
+        (said.grant != asked.grant.id, Reason.ACTION_OUT_OF_SCOPE),
+        (said.scope != asked.request.scope, Reason.ACTION_OUT_OF_SCOPE),
+        (said.situation != asked.request.situation, Reason.GUARD_FALSE),
+        (now.utc_ms > asked.request.expires_ms, Reason.APPROVAL_TIMEOUT),
+        (now.utc_ms > min(said.expires_ms, signer.usable_until_ms), Reason.EXPIRED),
+        (signer.role not in asked.roles, Reason.ROLE_DENIED),
+        (signer.id == verified.mission.issuer, Reason.ISSUER_MISMATCH),
+        (not signer.scope.covers(said.rid, asked.action.places), Reason.SIGNER_OUT_OF_SCOPE),
+    )
+    found = [reason for is_wrong, reason in wrong if is_wrong]
+    # a group in which only the issuer is left stands for nobody else
+    return str(found[0] if found else Reason.ISSUER_MISMATCH)
+
+
+def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
+    """Return who stands behind a decision: name, role and kind of each answer that counted."""
+    standing, match = judged.standing, judged.decision.match
+    request = None if standing is None or match is None else _request(standing, match.indexed.grant)
+    if request is None or standing is None or match is None:
+        return []
+    asked = Asked(
+        verified=judged.verified,
+        grant=match.indexed.grant,
+        request=request,
+        action=judged.action,
+        standing=standing,
+        facts=facts,
+    )
+    need = judged.decision.need
+    if need is None or (need.scope, need.situation) != (request.scope, request.situation):
+        return []  # another question is open: nobody was counted
+    return [
+        {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
+        for item in judged.answers
+        if why_not(asked, item, judged.now) == ""
+    ]
+
+
+def record_decision(act: Act, judged: Judged, entry: Entry) -> int:
+    """Record a decision that changed something; of a new request the number is held with it."""
+    seq = act.record(entry)
+    if judged.request is not None:
+        key = _key(judged.verified.mission.mid, judged.request.counter)
+        act.put(_HELD, key, str(seq).encode("ascii"))
+    return seq
+
+
+def record_of(act: Act, mid: MissionId, counter: int) -> int | None:
+    """Return the number of the record in which a request was opened; None: nobody noted it."""
+    held = act.get(_HELD, _key(mid, counter))
+    return int(held) if held is not None and held.isdigit() else None
+
+
+def is_denied(asked: Asked, items: tuple[VerifiedApproval, ...], now: Now) -> bool:
+    """True when somebody who may answer denied."""
+    return any(
+        item.approval.verdict is Verdict.DENY and not why_not(asked, item, now) for item in items
+    )
+
+
+def _key(mid: MissionId, counter: int) -> str:
+    return f"{mid}:{counter}"
+
+
+def _request(standing: Standing, grant: Grant) -> ApprovalRequest | None:
+    return standing.requests.get(grant.id)
+
+
+def _named(verified: VerifiedMission) -> tuple[int, str]:
+    return verified.mission.version, verified.digest
+
+
+def _checked(
+    asked: Asked, items: tuple[VerifiedApproval, ...], now: Now, required: int | None = None
+) -> Any:
+    """Return what step 7 says of the request with these answers and no others.
+
+    The request may be over by now; whether an answer to it fits is asked apart from that, and with
+    a number of people that no answers reach, so that each that fits is seen.
+    """
+    at = structs.replace(now, utc_ms=min(now.utc_ms, asked.request.expires_ms))
+    case = Case(
+        verified=asked.verified,
+        action=asked.action,
+        kind=None,
+        state=None,
+        facts=asked.facts,
+        now=at,
+        standing=asked.standing,
+        approvals=tuple(i for i in items if required is None or i.approval.verdict != "deny"),
+    )
+    need = Need(
+        risk=0,
+        required=_NEVER if required is None else required,
+        scope=asked.request.scope,
+        situation=asked.request.situation,
+    )
+    return check_approval(case, asked.grant, need)
+
+
+#: More people than there are.
+_NEVER = 1 << 20

@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the symbolic robot's own controller does with each message, and with silence.
+
+It begins an action only when a gate that proved its key says so, and ends it by itself when that
+gate falls silent. No input, no output and no clock: whoever holds the desk brings frames and time.
+Spec page: docs/spec/gate-protocol.md#controllers
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from authguard_r.core.errors import ControllerError, MalformedError
+from authguard_r.core.identifiers import Digest, ParameterId
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome
+from authguard_r.sim.motion import Velocity, asked_velocity
+from authguard_r.sim.proof import Proven
+from authguard_r.sim.robot import SimFlight, SymbolicRobot
+from authguard_r.sim.world import DURATION, LATERAL, LINEAR, TURNING
+from authguard_r.wire.frames import Frame, read_body
+from authguard_r.wire.messages import (
+    Begun,
+    Close,
+    Dispatch,
+    Ended,
+    Forward,
+    Halt,
+    Kind,
+    Renew,
+    Stood,
+)
+
+#: The world moves in steps of at most this long, in milliseconds.
+STEP_MS = 20
+#: A stream without a sample for this long has velocity zero.
+SAMPLE_MS = 200
+#: Why a controller ended an action whose gate fell silent.
+RENEWAL_LOST = "RENEWAL_LOST"
+_STREAM = "drive"
+_SAMPLED = frozenset({LINEAR, LATERAL, TURNING, DURATION})
+
+
+class Channel(StrEnum):
+    """Where a message came from."""
+
+    GATE = "gate"
+    STOP = "stop"
+
+
+class Sent(Struct, frozen=True):
+    """A message on its way to a server."""
+
+    channel: Channel
+    kind: Kind
+    id: int
+    body: Begun | Ended | Stood
+
+
+class _Run(Struct, frozen=True, kw_only=True):
+    """The action that runs, until the robot stands after it.
+
+    Args:
+        order: as it was dispatched.
+        flight: what the world makes of it.
+        begun_ms: when it began.
+        renewed_ms: when the gate was last heard of it.
+        sampled_ms: when the last sample came; None before the first.
+        why: why it does not go as it should.
+    """
+
+    order: Dispatch
+    flight: SimFlight
+    begun_ms: int
+    renewed_ms: int
+    sampled_ms: int | None = None
+    why: str = ""
+
+
+class _Late(Struct, frozen=True):
+    """A message that goes out at a time."""
+
+    due_ms: int
+    sent: Sent
+
+
+class ControllerDesk:
+    """The controller of one symbolic robot; every method returns what is to be sent.
+
+    `stops` counts the stops that were carried out since this start, whoever asked for them.
+
+    Args:
+        robot: its body and world.
+        life: a number of this start, and of no other; above 0.
+        now_ms: the monotonic clock at the start.
+        speed_up: how often faster than the clock the world runs; 1 but for demonstrations.
+    """
+
+    def __init__(self, robot: SymbolicRobot, *, life: int, now_ms: int, speed_up: int = 1) -> None:
+        self.robot = robot
+        self.life = life
+        self.stops = 0
+        self._now_ms = now_ms
+        self._speed_up = speed_up
+        self._proven: set[Channel] = set()
+        self._run: _Run | None = None
+        self._last: Ended | None = None
+        self._is_stopping = False
+        self._halts: dict[tuple[Channel, int], None] = {}  # in order; a repeat is the same one
+        self._late: list[_Late] = []
+        self._acts: dict[Kind, Callable[[Channel, Frame, int], None]] = {
+            Kind.DISPATCH: self._dispatch,
+            Kind.RENEW: self._renew,
+            Kind.HALT: self._halt,
+            Kind.FORWARD: self._forward,
+            Kind.CLOSE: self._close,
+        }
+
+    @property
+    def stands(self) -> bool:
+        """True when no action runs and nothing brakes."""
+        return self._run is None and not self._is_stopping
+
+    def opened(self, channel: Channel, proven: Proven, now_ms: int) -> tuple[Sent, ...]:
+        """Listen to a server from now on.
+
+        A gate is told at once how the last action ended, known to it or not, and how many stops
+        there were, if the robot stands.
+
+        Args:
+            channel: which connection.
+            proven: its proof, which only `proof.prove` makes.
+            now_ms: the monotonic clock.
+        """
+        if proven.welcome.robot != self.robot.rid:
+            raise RuntimeError("a proof for another robot was let through")
+        self._advance(now_ms)
+        self._proven.add(channel)
+        if channel is Channel.GATE:
+            if self._last is not None:
+                self._say(channel, Kind.ENDED, self._last)
+            if self.stands:
+                self._say(channel, Kind.STOOD, self._stood())
+        return self._take()
+
+    def closed(self, channel: Channel, now_ms: int) -> tuple[Sent, ...]:
+        """Note that a connection is lost; without its gate the robot does not go on."""
+        self._advance(now_ms)
+        self._proven.discard(channel)
+        self._halts = {asked: None for asked in self._halts if asked[0] is not channel}
+        if channel is Channel.GATE and self._run is not None and not self._is_stopping:
+            self._stop(RENEWAL_LOST)
+        return self._take()
+
+    def handle(self, channel: Channel, frame: Frame, now_ms: int) -> tuple[Sent, ...]:
+        """Obey one message, if it is of a kind that this connection may send.
+
+        Args:
+            channel: where it came from; what has not proven itself is not heard.
+            frame: the message.
+            now_ms: the monotonic clock.
+
+        Raises:
+            MalformedError: it is not what its kind says; nothing was done.
+        """
+        if channel in self._proven and (channel is Channel.GATE or frame.kind is Kind.HALT):
+            act = self._acts.get(frame.kind)
+            if act is not None:
+                act(channel, frame, now_ms)
+        return self._take()
+
+    def tick(self, now_ms: int) -> tuple[Sent, ...]:
+        """Let the world go on to now; what nobody renewed is stopped."""
+        self._advance(now_ms)
+        return self._take()
+
+    # messages
+
+    def _dispatch(self, channel: Channel, frame: Frame, now_ms: int) -> None:
+        order = read_body(frame.body, Dispatch)
+        self._advance(now_ms)
+        if self._last is not None and order.ticket == self._last.ticket:
+            self._say(channel, Kind.ENDED, self._last, frame.id)  # never a second time
+            return
+        if self._run is not None and order.ticket == self._run.order.ticket:
+            self._say(channel, Kind.BEGUN, Begun(ticket=order.ticket), frame.id)
+            return
+        why = self._begin(order)
+        if why:
+            ended = Ended(ticket=order.ticket, outcome=Outcome.NOT_STARTED, why=why)
+            self._say(channel, Kind.ENDED, ended, frame.id)
+            return
+        self._say(channel, Kind.BEGUN, Begun(ticket=order.ticket), frame.id)
+        self._settle()  # what takes no time is over already
+
+    def _begin(self, order: Dispatch) -> str:
+        """Begin the action; return why it was not begun, empty when it was."""
+        is_of_now = order.life == self.life and order.stops >= self.stops
+        if self._is_stopping or not is_of_now:
+            return Reason.STOPPED
+        if self._run is not None:
+            return Reason.BUSY
+        streams = order.action.type == _STREAM
+        begin = self.robot.begin_stream if streams else self.robot.begin
+        try:
+            flight = begin(order.action)
+        except ControllerError:
+            return Reason.CONTROLLER_FAILED
+        now = self._now_ms
+        self._run = _Run(order=order, flight=flight, begun_ms=now, renewed_ms=now)
+        return ""
+
+    def _renew(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
+        run = self._running(read_body(frame.body, Renew).ticket)
+        if run is not None:
+            self._run = replace(run, renewed_ms=now_ms)
+
+    def _forward(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
+        sample = read_body(frame.body, Forward)
+        if not sample.params.keys() <= _SAMPLED:
+            raise MalformedError("expected a velocity", where="forward.params")
+        run = self._running(sample.ticket)
+        if run is not None and run.order.action.type == _STREAM:
+            params = {ParameterId(name): value for name, value in sample.params.items()}
+            self.robot.steer(asked_velocity(params))
+            self._run = replace(run, sampled_ms=now_ms)
+
+    def _close(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
+        ticket = read_body(frame.body, Close).ticket
+        self._advance(now_ms)
+        run = self._running(ticket)
+        if run is not None and run.order.action.type == _STREAM:
+            self.robot.brake(Outcome.SUCCEEDED)
+            self._settle()
+
+    def _halt(self, channel: Channel, frame: Frame, now_ms: int) -> None:
+        read_body(frame.body, Halt)
+        self._advance(now_ms)
+        if not self.robot.faults.ignores_stops:
+            self._halts[channel, frame.id] = None
+            self._stop(Reason.STOPPED)
+
+    def _running(self, ticket: Digest) -> _Run | None:
+        """Return the action that runs, if it is this one."""
+        run = self._run
+        return run if run is not None and run.order.ticket == ticket else None
+
+    # time
+
+    def _advance(self, now_ms: int) -> None:
+        """Move the world to now, step by step, and judge the silence in each."""
+        while self._now_ms < now_ms:
+            step = min(STEP_MS, now_ms - self._now_ms)
+            self._now_ms += step
+            self.robot.pause(step * self._speed_up)
+            self._settle()
+            self._guard()
+
+    def _guard(self) -> None:
+        """Stop what was not renewed or lasts too long; a stream without samples stands."""
+        run, now = self._run, self._now_ms
+        if run is None or self._is_stopping:
+            return
+        if now - run.renewed_ms >= run.order.renew_within_ms:
+            self._stop(RENEWAL_LOST)
+        elif now - run.begun_ms >= run.order.max_ms:
+            self._stop(Reason.LEASE_ENDED)
+        elif run.sampled_ms is not None and now - run.sampled_ms >= SAMPLE_MS:
+            self.robot.steer(Velocity())
+
+    def _stop(self, why: str) -> None:
+        """Brake and hold; a stop that comes while one is carried out joins it."""
+        if self._is_stopping or self.robot.faults.ignores_stops:
+            return
+        self.stops += 1
+        self._is_stopping = True
+        if self._run is not None and not self._run.why:
+            self._run = replace(self._run, why=why)
+        self.robot.brake()
+        self._settle()
+
+    def _settle(self) -> None:
+        """Tell how the action ended, then that the robot stands."""
+        run = self._run
+        if run is not None:
+            outcome = run.flight.outcome()
+            if outcome is None:
+                return
+            self._run, self._last = None, _ended(run, outcome)
+            del self.robot.trace[:-1]  # a process lives long
+            self._say(Channel.GATE, Kind.ENDED, self._last)
+        if self._is_stopping:
+            self._is_stopping = False
+            self._tell_stood()
+
+    def _tell_stood(self) -> None:
+        """Answer every `HALT`, and tell the gate of a stop that it did not ask for."""
+        asked = tuple(self._halts)
+        if not any(channel is Channel.GATE for channel, _ in asked):
+            asked = (*asked, (Channel.GATE, 0))
+        for channel, number in asked:
+            self._say(channel, Kind.STOOD, self._stood(), number)
+        self._halts = {}
+
+    def _stood(self) -> Stood:
+        return Stood(stops=self.stops, life=self.life)
+
+    # messages out
+
+    def _say(
+        self, channel: Channel, kind: Kind, body: Begun | Ended | Stood, number: int = 0
+    ) -> None:
+        if channel in self._proven:
+            due = self._now_ms + self.robot.faults.answers_late_ms
+            self._late.append(_Late(due, Sent(channel, kind, number, body)))
+
+    def _take(self) -> tuple[Sent, ...]:
+        """Return what is due, in order, for the servers that are still there."""
+        due = [late.sent for late in self._late if late.due_ms <= self._now_ms]
+        self._late = [late for late in self._late if late.due_ms > self._now_ms]
+        return tuple(sent for sent in due if sent.channel in self._proven)
+
+
+def _ended(run: _Run, outcome: Outcome) -> Ended:
+    """Return how an action ended, with a code unless it succeeded."""
+    why = run.why
+    if outcome is Outcome.SUCCEEDED:
+        why = ""
+    elif not why:
+        why = Reason.CONTROLLER_FAILED
+    return Ended(ticket=run.order.ticket, outcome=outcome, used=run.flight.used(), why=why)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One turn at the SQLite file: what a job reads, and what it wants written.
+
+Spec page: docs/spec/store.md
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import apsw
+
+#: Held values that are remembered beside the file.
+_MOST_KNOWN = 64
+
+
+class SqliteTurn:
+    """One consistent view inside the open transaction (`core.ports.Turn`).
+
+    What a job puts and appends is kept apart until it ends well, as in the store in memory: a job
+    that fails has written nothing, and needs no savepoint to undo it.
+    """
+
+    def __init__(self, connection: apsw.Connection, size: int, link: bytes) -> None:
+        self._connection = connection
+        self._many = connection.cursor().executemany
+        self.size = size
+        self.link = link
+        self._puts: dict[tuple[str, str], bytes] = {}
+        self._rows: list[tuple[int, bytes, bytes, bytes]] = []
+        self._known: dict[tuple[str, str], bytes | None] = {}
+
+    @property
+    def changes(self) -> bool:
+        """True when the job put or appended something."""
+        return bool(self._puts or self._rows)
+
+    def write(self) -> None:
+        """Write what the job put and appended; on disk when the batch commits.
+
+        The first that writes begins the transaction: nobody else can have the file, so what was
+        read before it was the same.
+        """
+        if not self.changes:
+            return
+        if not self._connection.in_transaction:
+            self._connection.execute("BEGIN IMMEDIATE")
+        self._many("INSERT INTO audit VALUES (?, ?, ?, ?)", self._rows)
+        self._many(
+            "INSERT INTO held VALUES (?, ?, ?) "
+            "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
+            [(*place, value) for place, value in self._puts.items()],
+        )
+        for place, value in self._puts.items():
+            self._know(place, value)
+        self._puts, self._rows = {}, []
+
+    def drop(self, head: tuple[int, bytes]) -> None:
+        """Forget what the job put and appended; none of it was written."""
+        self.size, self.link = head
+        self._puts, self._rows = {}, []
+
+    def forget(self) -> None:
+        """Read everything again: what was written may have been undone."""
+        self._known.clear()
+
+    def get(self, kind: str, key: str) -> bytes | None:
+        """Return the value held under the key."""
+        place = (kind, key)
+        if place in self._puts:
+            return self._puts[place]
+        if place not in self._known:
+            query = "SELECT value FROM held WHERE kind = ? AND key = ?"
+            row = first_row(self._connection, query, place)
+            self._know(place, None if row is None else blob(row[0]))
+        return self._known[place]
+
+    def put(self, kind: str, key: str, value: bytes) -> None:
+        """Hold the value when the turn commits."""
+        self._puts[kind, key] = value
+
+    def _know(self, place: tuple[str, str], value: bytes | None) -> None:
+        """Keep what is held: the lock is exclusive, so nobody else can change it."""
+        if len(self._known) >= _MOST_KNOWN:
+            self._known.clear()
+        self._known[place] = value
+
+    def head(self) -> tuple[int, bytes]:
+        """Return the number of records and the last link."""
+        return self.size, self.link
+
+    def append(self, record: bytes, sealed: bytes, link: bytes) -> int:
+        """Append one record."""
+        seq = self.size
+        self._rows.append((seq, record, sealed, link))
+        self.size, self.link = seq + 1, link
+        return seq
+
+    def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
+        """Return rows of the log, with those of this turn."""
+        # clamped here: a number that a client chose may not fit into a column
+        end = min(max(first + count, 0), self.size)
+        first = min(max(first, 0), end)
+        written = _cells(self._connection, first, end)
+        return (*written, *(row for row in self._rows if first <= row[0] < end))
+
+
+def first_row(connection: apsw.Connection, query: str, values: tuple[str, ...]) -> Any:
+    """Return the first row, or None; text that is no text is a damaged cell."""
+    try:
+        return connection.execute(query, values).fetchone()
+    except UnicodeDecodeError as error:
+        raise apsw.CorruptError("expected bytes, got broken text") from error
+
+
+def _cells(
+    connection: apsw.Connection, first: int, end: int
+) -> list[tuple[int, bytes, bytes, bytes]]:
+    """Return the log's rows from `first` to before `end`."""
+    query = "SELECT seq, record, sealed, link FROM audit WHERE seq >= ? AND seq < ? ORDER BY seq"
+    try:
+        found: Any = connection.execute(query, (first, end)).fetchall()
+    except UnicodeDecodeError as error:
+        raise apsw.CorruptError("expected bytes, got broken text") from error
+    return [(seq, blob(record), blob(sealed), blob(link)) for seq, record, sealed, link in found]
+
+
+def blob(cell: object) -> bytes:
+    """Return a cell's bytes; a strict table holds nothing else, a damaged one may."""
+    if isinstance(cell, bytes):
+        return cell
+    raise apsw.CorruptError(f"expected bytes, got {type(cell).__name__}")

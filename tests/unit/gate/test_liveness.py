@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One alert for each silence, none where nobody has to speak, and refusals in a row counted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import worlds
+from authguard_r.core.identifiers import Identifier
+from authguard_r.core.reasons import Reason
+from authguard_r.gate.liveness import _COUNTED, _SHOWN, Liveness
+from authguard_r.report import Refusal, Report
+from authguard_r.sim.robot import Faults
+from authguard_r.wire.messages import ClientRole
+from unit.gate.house import HandClock
+from unit.gate.robots import config
+
+REFUSED = Report(judged=None, refusal=Refusal(Reason.MALFORMED, "x", "y"))
+QUIET = {"planner_silence_ms": 1_000, "estimator_silence_ms": 500}
+CLIENT = Identifier("u1.planner")
+
+
+class Bench:
+    def __init__(self, **bounds: Any) -> None:
+        self.clock = HandClock()
+        self.raised: list[str] = []
+        self.liveness = Liveness(
+            config(**{**QUIET, **bounds}),
+            self.clock.mono_ms,
+            lambda what, _: self.raised.append(what),
+        )
+
+    def after(self, ms: int, *, active: bool = True, controller: bool = True) -> list[str]:
+        """Let time pass and check; return what is new."""
+        self.clock.ms += ms
+        before = len(self.raised)
+        self.liveness.check(active=active, controller=controller)
+        return self.raised[before:]
+
+
+def test_one_alert_for_each_silence_and_another_after_it_was_broken() -> None:
+    bench = Bench()
+    assert bench.after(0) == []
+    assert bench.after(500) == []
+    assert bench.after(1) == ["estimator is silent"]
+    assert bench.after(600) == ["planner is silent"]
+    assert bench.after(60_000) == []
+    bench.liveness.hear(ClientRole.PLANNER)
+    assert bench.after(1_000) == []
+    assert bench.after(1) == ["planner is silent"]
+
+
+def test_nobody_has_to_speak_without_a_mission_and_silence_counts_from_its_begin() -> None:
+    bench = Bench()
+    assert bench.after(600_000, active=False, controller=False) == []
+    assert bench.after(600_000) == []
+    assert bench.after(501) == ["estimator is silent"]
+    assert bench.after(1, active=False) == []
+
+
+def test_a_bound_of_nothing_raises_nothing() -> None:
+    bench = Bench(planner_silence_ms=0, estimator_silence_ms=0, refusals=0)
+    bench.after(0)
+    assert bench.after(10**9) == []
+    assert [bench.liveness.judge(CLIENT, REFUSED) for _ in range(50)] == [False] * 50
+
+
+def test_a_missing_controller_is_told_once_and_again_when_it_goes_again() -> None:
+    bench = Bench(planner_silence_ms=0, estimator_silence_ms=0)
+    assert bench.after(1, controller=False) == ["controller is not connected"]
+    assert bench.after(1, controller=False) == []
+    assert bench.after(1) == []
+    assert bench.after(1, controller=False) == ["controller is not connected"]
+
+
+def test_what_is_recorded_already_is_kept_and_not_raised_again() -> None:
+    bench = Bench()
+    bench.liveness.tell("planner stops", {"by": "u1.planner"})
+    assert bench.raised == []
+    assert list(bench.liveness.alerts) == [{"what": "planner stops", "by": "u1.planner"}]
+
+
+def test_a_clock_behind_is_told_once_each_time() -> None:
+    bench = Bench()
+    for right in (True, False, False, True, False):
+        bench.liveness.keep_time(right=right)
+    assert bench.raised == ["the clock is behind"] * 2
+
+
+def test_ages_are_since_the_last_word_and_nothing_for_who_never_spoke() -> None:
+    bench = Bench()
+    bench.liveness.hear(ClientRole.ESTIMATOR)
+    bench.clock.ms += 70
+    assert bench.liveness.ages() == {
+        "planner_ms": None,
+        "estimator_ms": 70,
+        "controller_ms": None,
+    }
+
+
+def released(*, succeeds: bool) -> Report:
+    sim = worlds.simulation()
+    sim.gate.management.activate(worlds.token())
+    if not succeeds:
+        sim.robot.pause(0)
+        sim.robot.faults = Faults(controller_refuses=True)
+    report: Report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    return report
+
+
+def test_refusals_in_a_row_are_no_progress_and_a_success_begins_anew() -> None:
+    bench = Bench(refusals=3)
+    judge = bench.liveness.judge
+    assert [judge(CLIENT, REFUSED) for _ in range(7)] == [
+        *(False, False, True),
+        *(False, False, False, False),  # it was said: the same row is no news
+    ]
+    assert judge(CLIENT, released(succeeds=True)) is False
+    assert [judge(CLIENT, REFUSED) for _ in range(3)] == [False, False, True]
+    assert judge(CLIENT, released(succeeds=False)) is False  # it got somewhere
+    assert bench.raised == ["no progress"] * 2
+    assert bench.liveness.alerts[-1] == {"what": "no progress", "client": CLIENT, "refusals": 3}
+
+
+def test_one_planners_refusals_are_not_anothers() -> None:
+    bench = Bench(refusals=2)
+    for name in ("u1.a", "u2.a"):
+        assert bench.liveness.judge(Identifier(name), REFUSED) is False
+    assert bench.raised == []
+
+
+def test_one_users_refusals_are_its_own_under_whatever_name() -> None:
+    bench = Bench(refusals=4)
+    judge = bench.liveness.judge
+    assert [judge(Identifier(f"u5.{n}"), REFUSED) for n in "abab"] == [False, False, False, True]
+    assert bench.raised == ["no progress"]
+    # the user's row was told; each client's own row is another one
+    assert [judge(Identifier("u5.a"), REFUSED) for _ in range(2)] == [False, True]
+    assert [judge(Identifier(f"u6.{n}"), REFUSED) for n in range(3)] == [False] * 3
+    assert judge(Identifier("u6.0"), released(succeeds=True)) is False  # the user got somewhere
+    assert [judge(Identifier(f"u6.{n}"), REFUSED) for n in (3, 4, 5)] == [False] * 3
+    assert judge(Identifier("u6.6"), REFUSED) is True
+
+
+def test_what_is_counted_is_bounded_and_so_is_what_is_shown() -> None:
+    bench = Bench(refusals=2)
+    for number in range(_COUNTED):  # each is counted as a client and as a user
+        assert bench.liveness.judge(Identifier(f"u{number}.p"), REFUSED) is False
+    assert len(bench.liveness._refused) == _COUNTED
+    oldest, newest = Identifier("u0.p"), Identifier(f"u{_COUNTED - 1}.p")
+    assert bench.liveness.judge(oldest, REFUSED) is False  # it was forgotten
+    assert bench.liveness.judge(newest, REFUSED) is True
+    for _ in range(_SHOWN + 5):
+        bench.liveness.alert("x", {})
+    assert len(bench.liveness.alerts) == _SHOWN
+
+
+@pytest.mark.parametrize("active", [True, False])
+def test_a_check_changes_no_authority(active: bool) -> None:
+    sim = worlds.simulation()
+    sim.gate.management.activate(worlds.token())
+    before = sim.gate.management.standing("deliver-p1")
+    bench = Bench()
+    bench.after(10**6, active=active, controller=False)
+    assert sim.gate.management.standing("deliver-p1") == before
+
+
+def test_a_silence_that_is_over_is_no_longer_told_as_if_it_lasted() -> None:
+    bench = Bench()
+    bench.liveness.check(active=True, controller=False)
+    assert bench.liveness.alerts[-1] == {"what": "controller is not connected"}
+    bench.liveness.alert("no progress", {})
+    bench.liveness.check(active=True, controller=True)
+    ended, other = bench.liveness.alerts
+    assert (ended["over"], "over" in other) == (True, False)
+    bench.liveness.check(active=True, controller=False)
+    assert "over" not in bench.liveness.alerts[-1]

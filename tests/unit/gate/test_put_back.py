@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gate's own parts on a store that was put back: order, answer, status, doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+import worlds
+from authguard_r.anchoring.counter import FileCounter
+from authguard_r.assembly import simulate
+from authguard_r.client.session import done_of
+from authguard_r.core.errors import ClockError, MalformedError, RefusedError
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.gate.checkup import Setup, checkup
+from authguard_r.gate.checkup.advice import Code, Level
+from authguard_r.gate.checkup.logbook import counter_advice
+from authguard_r.gate.mends import MENDS
+from authguard_r.gate.recovery import Recovery
+from authguard_r.wire.messages import Act
+
+
+def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:
+    assert done_of(Act.ACCEPT_STORE, {"accepted": {"size": 3}}) == {"size": 3}
+    assert done_of(Act.REVOCATIONS, {"revocations": {}}) == {}
+    assert done_of(Act.COMMAND, {"standing": {}}) == {}
+    for said in ({}, {"standing": {}}, {"accepted": 3}):
+        with pytest.raises(MalformedError, match="what became of the order"):
+            done_of(Act.ACCEPT_STORE, said)
+
+
+def test_whoever_reads_the_refusal_is_told_what_to_do() -> None:
+    assert "authguard recover" in MENDS[Reason.ROLLED_BACK]
+
+
+def test_the_doctor_names_a_counter_that_is_missing_or_worth_little(tmp_path: Path) -> None:
+    store = tmp_path / "robot.db"
+    none = counter_advice(None, store)
+    assert (none.level, none.code) == (Level.WARNING, Code.COUNTER)
+    assert "--counter" in none.mend
+    beside = counter_advice(tmp_path / "counter", store)
+    assert (beside.level, beside.place) == (Level.WARNING, str(tmp_path / "counter"))
+    away = counter_advice(tmp_path / "mount" / "counter", store)
+    assert away.level is Level.UNSAFE
+    elsewhere = Path("/dev/shm/counter")
+    if elsewhere.parent.is_dir() and elsewhere.parent.stat().st_dev != tmp_path.stat().st_dev:
+        assert counter_advice(elsewhere, store).level is Level.OK
+
+
+def test_the_doctor_looks_at_the_counter_together_with_the_store(tmp_path: Path) -> None:
+    setup = Setup(demo=False, uid=0, store=tmp_path / "robot.db")
+    now = Now(worlds.START_MS, 0)
+    assert Code.COUNTER in {advice.code for advice in checkup(setup, now)}
+    without = replace(setup, store=None)
+    assert Code.COUNTER not in {advice.code for advice in checkup(without, now)}
+
+
+def test_what_comes_first_waits_for_the_clock_and_is_asked_again(tmp_path: Path) -> None:
+    sim = simulate(
+        worlds.trust_folder(),
+        worlds.site(),
+        worlds.binding(),
+        rid=worlds.RID,
+        start_ms=worlds.START_MS,
+        store=None,
+        counter=FileCounter(tmp_path / "counter"),
+    )
+    asked: list[int] = []
+
+    def first() -> None:
+        asked.append(1)
+        if len(asked) == 1:
+            raise ClockError("behind")
+
+    recovery = Recovery(sim.gate.management, first=first)
+    recovery.begin()
+    assert not recovery.unclean
+    assert recovery.now()
+    assert len(asked) == 2
+
+
+def test_what_comes_first_and_is_refused_lets_no_gate_start() -> None:
+    def first() -> None:
+        raise RefusedError("older", reason=Reason.SUPERSEDED)
+
+    with pytest.raises(RefusedError):
+        Recovery(worlds.simulation().gate.management, first=first).begin()

@@ -1,0 +1,600 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Emergencies at a whole gate: real ones are carried out, false ones are told to people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+import emergencies
+import worlds
+from authguard_r.audit.record import Record, read_record
+from authguard_r.commands import Verb
+from authguard_r.core.errors import StoreError
+from authguard_r.core.ports import Store
+from authguard_r.emergency.journal import EmergencyJournal
+from authguard_r.emergency.policy import Caller, EmergencyPolicy
+from authguard_r.gate import rescues
+from authguard_r.gate.roads import open_road
+from authguard_r.rescue import Rescued
+from authguard_r.sim.robot import Faults
+from authguard_r.store.memory import MemoryStore
+from authguard_r.wire.messages import Act, ClientRole, Emergency, Kind, Order
+from unit.gate.house import GO, STEP_MS, Guest, HandClock, House, Refused
+
+HOUR_MS = 3_600_000
+
+
+class Disk:
+    """A store that a test can take away and give back (`core.ports.Store`)."""
+
+    def __init__(self) -> None:
+        self.inner = MemoryStore()
+        self.dead = False
+
+    def run(self, job: Any, *, essential: bool = False) -> Any:
+        if self.dead:
+            raise StoreError("the disk is gone", where="store")
+        return self.inner.run(job, essential=essential)
+
+    def read(self, job: Any) -> Any:
+        if self.dead:
+            raise StoreError("the disk is gone", where="store")
+        return self.inner.read(job)
+
+    def restore(self) -> bool:
+        return not self.dead
+
+    def close(self) -> None:
+        self.inner.close()
+
+
+class Ward(House):
+    """A house with an emergency road."""
+
+    def __init__(
+        self,
+        *capabilities: dict[str, Any],
+        journal: Path | None = None,
+        policy: EmergencyPolicy | None = None,
+        **more: Any,
+    ) -> None:
+        self._policy = policy or emergencies.policy(*capabilities)
+        self._path = journal
+        super().__init__(
+            **{"site": emergencies.site(), "trust": emergencies.trust_folder(), **more}
+        )
+
+    def _assemble(self, mode: Any) -> None:
+        super()._assemble(mode)
+        path = self._path
+        self.spool = None if path is None else EmergencyJournal(path, robot=worlds.RID)
+        self.road = open_road(
+            self.service, emergencies.opened(self._policy), self.spool, controller=self.remote
+        )
+
+    def __exit__(self, *more: object) -> None:
+        super().__exit__(*more)
+        self.road.log.close()
+
+    def begin_call(self, guest: Guest, capability: str, key: str | None = None) -> int:
+        self.calls = getattr(self, "calls", 0) + 1
+        asked = Emergency(key=key or f"call-{self.calls}", capability=capability)
+        number = guest.say(Kind.EMERGENCY, asked)
+        self.pump()
+        return number
+
+    def call(self, guest: Guest, capability: str, key: str | None = None) -> dict[str, Any]:
+        return self.rest(guest, self.begin_call(guest, capability, key))
+
+    def behind(self, kind: str) -> list[Record]:
+        """Return the records of a kind while the clock is behind."""
+        rows = self.gate.ledger.peek(lambda turn: turn.rows(0, 1 << 30))
+        found = [read_record(row[1], where="log") for row in rows]
+        return [record for record in found if record.kind == kind]
+
+    @property
+    def told(self) -> list[tuple[str, str]]:
+        """What the log says of emergencies: decision and capability."""
+        return [
+            (record.link.decision, record.open["capability"])
+            for record in self.log("emergency")
+            if record.link.decision != "policy"
+        ]
+
+    @property
+    def alerts(self) -> list[dict[str, Any]]:
+        return [record.open for record in self.log("alert")]
+
+
+def planner(house: House, name: str | None = None) -> Guest:
+    return house.enter(ClientRole.PLANNER, name)
+
+
+def test_a_real_emergency_without_a_mission_is_carried_out_and_recorded() -> None:
+    with Ward(at="station-103") as house:
+        answer = house.call(planner(house), "go-safe")
+        assert (answer["outcome"], answer["execution"]["outcome"]) == ("accept", "succeeded")
+        assert house.robot.state.region == "dock"
+        assert house.told == [("accept", "go-safe"), ("succeeded", "go-safe")]
+        record = house.log("emergency")[1]
+        assert record.open["lacked"] == ["mission"]
+        assert house.sealed(record.link.seq)["action"][0]["destination"] == "dock"
+
+
+def dead(tmp_path: Path, name: str) -> bytes:
+    """Return the people authority's next list, with a principal on it."""
+    folder = tmp_path / "auth"
+    shutil.copytree(emergencies.trust_folder(), folder)
+    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    ((_, found),) = revoke(folder, principal=name, serial=None, now=begin, days=30).items()
+    return found.signed
+
+
+def test_a_policy_whose_signer_is_revoked_moves_nothing_any_more(tmp_path: Path) -> None:
+    with Ward(at="station-103") as house:
+        house.gate.lists.install(dead(tmp_path, "safety-officer-1"))
+        answer = house.call(planner(house), "go-safe")
+        assert (answer["outcome"], answer["reasons"]) == ("reject", ["CERTIFICATE_REVOKED"])
+        assert (house.told, house.robot.state.region) == ([], "station-103")
+
+
+def test_an_emergency_under_way_stops_when_its_signer_is_revoked(tmp_path: Path) -> None:
+    with Ward(at="station-103") as house:
+        guest = planner(house)
+        number = house.begin_call(guest, "go-safe")
+        house.advance(1_000)
+        house.gate.lists.install(dead(tmp_path, "safety-officer-1"))
+        answer = house.rest(guest, number)
+        assert answer["execution"]["outcome"] == "aborted"
+        assert house.log("emergency")[-1].open["reasons"] == ["CERTIFICATE_REVOKED"]
+        assert house.robot.state.region != "dock"
+
+
+def test_dates_that_passed_say_nothing_against_a_policy_that_was_opened_in_time() -> None:
+    with Ward(at="station-103") as house:
+        later = Now(worlds.START_MS + 400 * emergencies.DAY_MS, 0)  # certificates and lists are over
+        with pytest.raises(AuthenticityError):
+            house.gate.trust.identify(house.road.opened_chain, later)
+        require_signer(house.road.opened, verifier=house.gate.trust)
+
+
+@pytest.mark.parametrize(
+    ("capability", "reason"),
+    [("call-help", "GUARD_FALSE"), ("fly", "ACTION_OUT_OF_SCOPE"), ("let-go", "ROLE_DENIED")],
+)
+def test_a_false_emergency_of_a_planner_is_refused_and_told_to_people(
+    capability: str, reason: str
+) -> None:
+    with Ward() as house:
+        before = house.place
+        answer = house.call(planner(house), capability)
+        assert (answer["outcome"], answer["reasons"][0]) == ("reject", reason)
+        assert (house.told, house.place) == ([], before)
+        refused = [r for r in house.log("refusal") if r.open.get("what") == "emergency"]
+        assert [r.open["reasons"][0] for r in refused] == [reason]
+        assert [(a["what"], a["calls"]) for a in house.alerts] == [("false emergency", 1)]
+
+
+def test_a_row_of_false_emergencies_is_one_record_and_an_alert_at_each_power_of_ten() -> None:
+    with Ward() as house:
+        guests = [planner(house, "one"), planner(house, "two")]
+        for number in range(101):
+            house.call(guests[number % 2], "call-help")
+        house.advance(200)
+        refused = [r for r in house.log("refusal") if r.open.get("what") == "emergency"]
+        assert len(refused) == 2  # one for each name
+        assert [a["calls"] for a in house.alerts] == [1, 10, 100]
+
+
+def test_a_false_emergency_does_not_stop_a_mission() -> None:
+    with Ward(mission=worlds_mission()) as house:
+        client = planner(house)
+        house.activate()
+        number = house.begin(client, GO)
+        house.advance(STEP_MS)
+        house.call(planner(house, "liar"), "call-help")
+        answer = house.rest(client, number)
+        assert answer["steps"][0]["execution"]["outcome"] == "succeeded"
+
+
+def worlds_mission() -> Any:
+    """Return the shipped mission, compiled for the site with its safe place."""
+    from authguard_r.compile.build import compile_draft
+    from authguard_r.compile.draft import Draft
+    from authguard_r.core.encoding import b64
+    from authguard_r.site.source import convert
+
+    drafted = convert(worlds.draft(), Draft, where="mission")
+    return compile_draft(drafted, emergencies.site(), now=worlds.NOW, nonce=b64(bytes(16)))
+
+
+def test_a_real_emergency_stops_what_runs_first_and_nothing_is_proposed_meanwhile() -> None:
+    with Ward(mission=worlds_mission()) as house:
+        client = planner(house)
+        house.activate()
+        number = house.begin(client, GO)
+        house.advance(2_000)
+        person = house.enter(ClientRole.OPERATOR, "nurse")
+        called = house.begin_call(person, "go-safe")
+        step = house.rest(client, number)["steps"][0]
+        assert step["execution"]["outcome"] == "aborted"
+        house.advance(STEP_MS)
+        other = planner(house, "other")
+        assert house.propose(other, GO)["steps"][0]["reasons"] == ["BUSY"]
+        answer = house.rest(person, called)
+        assert answer["execution"]["outcome"] == "succeeded"
+        assert house.robot.state.region == "dock"
+        assert (
+            house.propose(other, GO)["steps"][0]["released"] is True
+        )  # the mission is what it was
+
+
+def test_a_guard_that_ends_while_the_robot_moves_stops_it() -> None:
+    near = emergencies.guard("human_distance_mm", "ge", 2_000)
+    with Ward({**emergencies.GO_SAFE, "guards": [near]}, at="station-103", speed_up=1) as house:
+        guest = planner(house)
+        number = house.begin_call(guest, "go-safe")
+        house.advance(1_000)
+        house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=1_500)
+        answer = house.rest(guest, number)
+        assert answer["execution"]["outcome"] == "aborted"
+        assert answer["execution"]["reasons"][0] == "GUARD_FALSE"
+
+
+def test_stale_state_is_no_emergency() -> None:
+    with Ward(at="station-103") as house:
+        guest = planner(house)
+        assert house.estimator is not None
+        house.estimator.leave()
+        house.estimator = None
+        house.advance(2_000)
+        answer = house.call(guest, "go-safe")
+        assert answer["reasons"] == ["STATE_STALE"]
+        assert [a["reasons"] for a in house.alerts if a["what"] == "false emergency"] == [
+            ["STATE_STALE"]
+        ]
+
+
+def test_the_rate_is_held_to() -> None:
+    with Ward(at="dock") as house:
+        guest = planner(house)
+        for _ in range(3):
+            assert house.call(guest, "go-safe")["outcome"] == "accept"
+        assert house.call(guest, "go-safe")["reasons"] == ["RATE_EXCEEDED"]
+        house.advance(1)
+        house.clock.ms += HOUR_MS
+        house.look()
+        assert house.call(guest, "go-safe")["outcome"] == "accept"
+
+
+def test_a_repeated_key_is_one_call() -> None:
+    with Ward() as house:
+        guest = planner(house)
+        first = house.call(guest, "go-safe", "the-one")
+        again = house.call(guest, "go-safe", "the-one")
+        assert again == {**first, "repeated": True}
+        assert len(house.told) == 2
+
+
+def test_a_key_that_is_not_answered_is_busy() -> None:
+    with Ward(at="station-103", speed_up=1) as house:
+        guest = planner(house)
+        house.begin_call(guest, "go-safe", "the-one")
+        with pytest.raises(Refused, match="BUSY"):
+            house.call(guest, "go-safe", "the-one")
+        assert house.call(guest, "go-safe", "another")["reasons"] == ["BUSY"]
+
+
+def test_the_second_gate_has_its_own_word() -> None:
+    fast = {**emergencies.GO_SAFE, "params": {"speed_mm_s": 1_500}}
+    with Ward(fast, at="station-103") as house:
+        house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
+        house.advance(STEP_MS)
+        answer = house.call(planner(house), "go-safe")
+        assert (answer["outcome"], answer["hazards"]) == ("reject", ["HUMAN_PROXIMITY"])
+
+
+def test_an_operators_stop_stands_until_a_signed_resume() -> None:
+    with Ward(at="station-103", mission=worlds_mission()) as house:
+        guest = planner(house)
+        house.activate()
+        house.stop(ClientRole.OPERATOR, 1)
+        assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
+        person = house.enter(ClientRole.OPERATOR, "resumes")
+        person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.RESUME)))
+        assert house.call(guest, "go-safe")["outcome"] == "accept"
+
+
+def test_a_stop_stands_over_a_restart_unless_the_capability_says_otherwise() -> None:
+    store, clock = MemoryStore(), HandClock()
+    inner: Store = _Kept(store)
+    with Ward(store=inner, clock=clock) as house:
+        house.stop(ClientRole.OPERATOR, 1)
+        house.crashes = True
+    after = {**emergencies.GO_SAFE, "id": "after", "after_stop": True}
+    with Ward(emergencies.GO_SAFE, after, store=inner, clock=clock) as house:
+        guest = planner(house)
+        assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
+        assert house.call(guest, "after")["outcome"] == "accept"
+
+
+class _Kept:
+    """A store that outlives its gate."""
+
+    def __init__(self, inner: MemoryStore) -> None:
+        self._inner = inner
+
+    def run(self, job: Any, *, essential: bool = False) -> Any:
+        return self._inner.run(job, essential=essential)
+
+    def read(self, job: Any) -> Any:
+        return self._inner.read(job)
+
+    def restore(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        """Stay."""
+
+
+def test_the_gate_itself_calls_once_when_the_guards_begin_to_hold() -> None:
+    holding = {**emergencies.LET_GO, "without": ["mission"]}
+    with Ward(holding) as house:
+        house.advance(500)
+        assert house.told == []
+        state = house.robot.state
+        places = {k: v for k, v in state.places.items() if k != "package-p1"}
+        house.robot.state = msgspec.structs.replace(state, holding="package-p1", places=places)
+        house.advance(2_000)
+        assert house.told == [("accept", "let-go"), ("succeeded", "let-go")]
+        assert house.robot.state.holding is None
+        house.advance(1_000)
+        assert len(house.told) == 2
+        assert house.log("emergency")[1].open["by"] == "gate"
+
+
+def test_what_needs_a_mission_or_a_clock_does_not_work_without() -> None:
+    needy = {**emergencies.GO_SAFE, "id": "needy", "without": []}
+    with Ward(emergencies.GO_SAFE, needy) as house:
+        guest = planner(house)
+        assert house.call(guest, "needy")["reasons"] == ["NO_ACTIVE_MISSION"]
+        house.clock.wrong_ms = -HOUR_MS
+        house.advance(STEP_MS)
+        assert house.call(guest, "needy")["reasons"] == ["NO_ACTIVE_MISSION", "CLOCK_BEHIND"]
+
+
+def test_a_real_emergency_with_a_clock_that_is_behind() -> None:
+    with Ward(at="station-103") as house:
+        guest = planner(house)
+        house.call(guest, "call-help")  # something is committed
+        house.advance(200)
+        house.gate.ledger.run(lambda act: act.put("x", "y", b"z"))
+        house.clock.wrong_ms = -HOUR_MS
+        house.advance(2_000)
+        answer = house.call(guest, "go-safe")
+        assert answer["execution"]["outcome"] == "succeeded"
+        assert house.behind("emergency")[-1].open["lacked"] == ["clock", "mission"]
+
+
+def test_an_emergency_with_a_dead_store_goes_into_the_journal_and_then_into_the_log_once(
+    tmp_path: Path,
+) -> None:
+    disk = Disk()
+    with Ward(at="station-103", journal=tmp_path / "journal", store=disk) as house:
+        guest = planner(house)
+        disk.dead = True
+        answer = house.call(guest, "go-safe")
+        assert answer["execution"] == {"outcome": "succeeded", "reasons": [], "recorded": True}
+        assert house.spool is not None
+        assert [r.decision for r in house.spool.pending(0)] == ["accept", "succeeded"]
+        disk.dead = False
+        house.advance(300)
+        assert house.told == [("accept", "go-safe"), ("succeeded", "go-safe")]
+        assert [r.open["journal"] for r in house.log("emergency")[1:]] == [1, 2]
+        house.advance(300)
+        assert len(house.told) == 2
+
+
+def test_what_needs_the_store_does_not_work_without(tmp_path: Path) -> None:
+    disk = Disk()
+    needy = {**emergencies.GO_SAFE, "without": ["mission"]}
+    with Ward(needy, journal=tmp_path / "journal", store=disk) as house:
+        guest = planner(house)
+        disk.dead = True
+        answer = house.call(guest, "go-safe")
+        assert (answer["outcome"], answer["reasons"]) == ("reject", ["STORE_UNAVAILABLE"])
+        assert house.spool is not None
+        assert house.spool.pending(0) == ()
+        disk.dead = False
+
+
+def test_without_a_journal_nothing_is_done_that_no_disk_has() -> None:
+    disk = Disk()
+    with Ward(store=disk) as house:
+        guest = planner(house)
+        disk.dead = True
+        assert house.call(guest, "go-safe")["reasons"] == ["STORE_UNAVAILABLE"]
+        disk.dead = False
+
+
+def test_a_gate_without_a_policy_refuses() -> None:
+    with House() as house:
+        guest = planner(house)
+        with pytest.raises(Refused, match="ACTION_OUT_OF_SCOPE"):
+            guest.ask(Kind.EMERGENCY, Emergency(key="k", capability="go-safe"))
+
+
+def test_an_emergency_whose_gate_died_is_unknown_once(tmp_path: Path) -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    road: dict[str, Any] = {"store": store, "clock": clock, "journal": tmp_path / "journal"}
+    with Ward(at="station-103", speed_up=1, **road) as house:
+        house.begin_call(planner(house), "go-safe")
+        house.advance(500)
+        house.crashes = True
+    for _ in range(2):
+        with Ward(**road) as house:
+            assert house.told == [("accept", "go-safe"), ("unknown", "go-safe")]
+            assert house.road.log.uses("go-safe") == (0,)
+            house.crashes = True
+
+
+def test_a_journaled_emergency_whose_gate_died_is_in_the_log_once(tmp_path: Path) -> None:
+    disk, clock = Disk(), HandClock()
+    disk.close = lambda: None  # type: ignore[method-assign] - it outlives its gate
+    road: dict[str, Any] = {"store": disk, "clock": clock, "journal": tmp_path / "journal"}
+    with Ward(at="station-103", speed_up=1, **road) as house:
+        guest = planner(house)
+        disk.dead = True
+        house.begin_call(guest, "go-safe")
+        house.advance(500)
+        house.crashes = True
+    disk.dead = False
+    for _ in range(2):
+        with Ward(**road) as house:
+            assert house.told == [("accept", "go-safe"), ("unknown", "go-safe")]
+            assert house.log("emergency")[1].open["journal"] == 1
+            assert house.road.log.uses("go-safe") == (0,)
+            house.crashes = True
+
+
+def test_what_did_not_fit_the_journal_is_counted_in_the_log_once(tmp_path: Path) -> None:
+    disk = Disk()
+    often = {**emergencies.GO_SAFE, "per_hour": 60}
+    with Ward(often, journal=tmp_path / "journal", store=disk) as house:
+        guest = planner(house)
+        disk.dead = True
+        for _ in range(40):  # two records each, and there is room for 64
+            assert house.call(guest, "go-safe")["execution"]["outcome"] == "succeeded"
+        disk.dead = False
+        house.advance(500)
+        records = house.log("emergency")[1:]
+        assert [r.open.get("journal") for r in records] == [*range(1, 65), None]
+        assert (records[-1].link.decision, records[-1].open["lost"]) == ("counted", 16)
+        house.advance(500)
+        assert len(house.log("emergency")) == 66
+
+
+def test_a_policy_is_in_the_log_once_until_it_changes() -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    other = emergencies.policy(version=2)
+    for value, known in ((None, 1), (None, 1), (other, 2)):
+        with Ward(store=store, clock=clock, policy=value) as house:
+            found = [r for r in house.log("emergency") if r.link.decision == "policy"]
+            assert len(found) == known
+
+
+def test_without_a_controller_nothing_is_begun_and_that_is_recorded() -> None:
+    with Ward(robot=False) as house:
+        answer = house.call(planner(house), "go-safe")
+        assert answer["execution"]["outcome"] == "not_started"
+        assert answer["execution"]["reasons"] == ["CONTROLLER_FAILED"]
+        assert house.told == [("accept", "go-safe"), ("not_started", "go-safe")]
+
+
+def test_a_robot_that_does_not_stand_is_sent_nowhere() -> None:
+    faults = Faults(ignores_stops=True)
+    with Ward(mission=worlds_mission(), faults=faults, speed_up=1) as house:
+        client = planner(house)
+        house.activate()
+        house.begin(client, GO)
+        house.advance(500)
+        person = house.enter(ClientRole.OPERATOR, "nurse")
+        called = house.begin_call(person, "go-safe")
+        house.advance(STEP_MS)
+        assert house.call(planner(house, "other"), "go-safe")["reasons"] == ["BUSY"]
+        answer = house.rest(person, called)
+        assert (answer["outcome"], answer["reasons"]) == ("reject", ["BUSY"])
+        assert house.told == []
+
+
+def test_what_was_true_before_the_robot_stood_is_asked_again() -> None:
+    near = emergencies.guard("human_distance_mm", "ge", 2_000)
+    go = {**emergencies.GO_SAFE, "guards": [near]}
+    with Ward(go, mission=worlds_mission(), speed_up=1) as house:
+        house.activate()
+        house.begin(planner(house), GO)
+        house.advance(500)
+        person = house.enter(ClientRole.OPERATOR, "nurse")
+        called = house.begin_call(person, "go-safe")
+        house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=1_500)
+        answer = house.rest(person, called)
+        assert (answer["outcome"], answer["reasons"]) == ("reject", ["GUARD_FALSE"])
+        assert house.told == []
+        assert house.alerts == []  # an operator's is nobody's attack
+
+
+def test_a_gate_that_ends_begins_nothing_and_does_not_call_by_itself() -> None:
+    always = {**emergencies.LET_GO, "guards": [emergencies.TRUE]}
+    with Ward(emergencies.GO_SAFE, {**always, "id": "mine"}) as house:
+        served = house.service.desk.rescues
+        assert served is not None
+        house.advance(500)
+        count = len(house.told)
+        served.closing = lambda: True
+        assert house.call(planner(house), "go-safe")["reasons"] == ["BUSY"]
+        house.advance(500)
+        assert len(house.told) == count
+        house.service._closing = True
+        with pytest.raises(Refused, match="STOPPED"):
+            house.call(planner(house, "late"), "go-safe")
+
+
+def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rescues, "_MOST_KEPT", 2)
+    monkeypatch.setattr(rescues, "_MOST_COUNTED", 1)
+    with Ward() as house:
+        guest = planner(house)
+        for key in ("a", "b", "c"):
+            house.call(guest, "call-help", key)
+        kept = house.service.desk.rescues
+        assert kept is not None
+        assert [key for _, key in kept._answers] == ["b", "c"]
+        asked = rescues._Asked(
+            name="u77.other", caller=Caller.PLANNER, capability="call-help", tell=lambda _: None
+        )
+        kept._judge(asked)
+        assert list(kept._false) == ["u77"]
+
+
+def test_an_end_that_nobody_can_write_down_is_said(tmp_path: Path) -> None:
+    disk = Disk()
+    with Ward(at="station-103", speed_up=1, store=disk) as house:
+        guest = planner(house)
+        number = house.begin_call(guest, "go-safe")
+        disk.dead = True
+        answer = house.rest(guest, number)
+        assert answer["execution"] == {"outcome": "succeeded", "reasons": [], "recorded": False}
+        house.stop(ClientRole.OPERATOR, 1)  # this cannot be held now, and is tried again
+        disk.dead = False
+        house.advance(300)
+        assert b'"stopped":true' in disk.run(lambda turn: turn.get("emergency", "state"))
+
+
+def test_only_an_accepted_call_can_be_begun() -> None:
+    with Ward() as house:
+        call = house.road.judge("fly", Caller.PLANNER, "u1.x")
+        with pytest.raises(RuntimeError, match="not accepted"):
+            house.road.begin(call)
+
+
+def test_a_guard_that_is_false_by_the_time_it_is_on_disk_begins_nothing() -> None:
+    with Ward(at="station-103") as house:
+        call = house.road.judge("go-safe", Caller.PLANNER, "u1.x")
+        house.clock.ms += 5_000  # a disk that took long
+        ended = house.road.begin(call)
+        assert isinstance(ended, Rescued)
+        assert ended.outcome == "not_started"
+        assert ended.reasons[0].reason == "STATE_STALE"
+
+
+def test_the_other_orders_leave_a_stop_standing() -> None:
+    with Ward(mission=worlds_mission()) as house:
+        house.activate()
+        house.stop(ClientRole.OPERATOR, 1)
+        person = house.enter(ClientRole.OPERATOR, "revokes")
+        person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.REVOKE)))
+        assert house.road.log.stopped

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator: newest wins, one at a time, and nothing is ever fresher than it is."""
+
+from __future__ import annotations
+
+import pytest
+
+import worlds
+from authguard_r.assembly import folder_signer
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.state import Snapshot
+from authguard_r.core.token import open_token
+from authguard_r.keys.trust import read_trust
+from authguard_r.sim.estimator import ANSWER_MS, Estimator
+from authguard_r.sim.robot import Faults, SymbolicRobot
+from authguard_r.sim.sensors import ID_MODULUS, reading_frame
+from authguard_r.sim.sight import snapshot_of
+from authguard_r.wire.frames import Frame, FrameReader, read_body
+from authguard_r.wire.messages import Attest, Fault, Kind
+from unit.sim.desks import framed
+
+EPOCH = 1_700_000_000_000
+
+
+def estimator(rate_hz: int = 20) -> Estimator:
+    signer = folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
+    return Estimator(worlds.RID, signer, epoch=EPOCH, rate_hz=rate_hz)
+
+
+def cut(data: bytes) -> Frame:
+    (item,) = FrameReader(lambda _: 1 << 20).feed(data)
+    return item
+
+
+def reading(measured_ms: int, *, at: str = "dock", rid: str = worlds.RID) -> Frame:
+    seen = snapshot_of(worlds.world(at), robot=rid, epoch=0, seq=0, pose_age_ms=7)
+    return cut(reading_frame(seen, measured_ms))
+
+
+def opened(data: bytes | None) -> Snapshot:
+    assert data is not None
+    snapshot, _, signer = open_token(
+        read_body(cut(data).body, Attest).token,
+        Snapshot,
+        tag=Tag.STATE,
+        roles=frozenset({"estimator"}),
+        verifier=read_trust(worlds.trust_folder()),
+        now=worlds.NOW,
+    )
+    assert signer.id == f"estimator-{worlds.RID}"
+    return snapshot
+
+
+def test_nothing_is_said_before_anything_was_heard() -> None:
+    assert estimator().due(1_000) is None
+
+
+def test_a_snapshot_is_signed_with_epoch_and_growing_seq() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 1_000)
+    first = opened(it.due(1_000))
+    it.answered(framed(Kind.REPLY, {}))
+    second = opened(it.due(1_050))
+    assert (first.epoch, first.seq, second.seq) == (EPOCH, 1, 2)
+    assert first.robot == worlds.RID
+
+
+def test_at_most_one_is_on_its_way_and_the_newest_wins() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 1_000)
+    assert it.due(1_000) is not None
+    for at in (1_050, 1_100, 1_150):
+        it.heard(reading(at, at="pharmacy" if at == 1_150 else "dock"), at)
+        assert it.due(at) is None
+    it.answered(framed(Kind.EVENT, {}))  # no answer
+    assert it.due(1_160) is None
+    it.answered(framed(Kind.REPLY, {}))
+    got = opened(it.due(1_160))
+    assert got.pose is not None
+    assert (got.pose.x_mm, got.seq) == (4_000, 2)
+
+
+def test_what_was_heard_grows_old_and_is_never_fresh_again() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 1_020)  # it was 20 ms on its way
+    ages = []
+    for now in (1_020, 1_500, 9_000):
+        got = opened(it.due(now))
+        assert got.pose is not None
+        ages.append((got.pose.age_ms, got.readings["speed_mm_s"].age_ms))
+        it.answered(framed(Kind.REPLY, {}))
+    assert ages == [(27, 20), (507, 500), (8_007, 8_000)]
+
+
+def test_readings_that_waited_in_a_buffer_are_as_old_as_they_are() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 61_000)
+    got = opened(it.due(61_000))
+    assert got.readings["battery_permille"].age_ms == 60_000
+
+
+def test_the_clock_of_a_frame_may_have_gone_round() -> None:
+    it = estimator()
+    it.heard(reading(ID_MODULUS - 5), ID_MODULUS + 5)
+    assert opened(it.due(ID_MODULUS + 5)).readings["speed_mm_s"].age_ms == 10
+
+
+def test_what_claims_to_come_from_the_future_is_very_old() -> None:
+    it = estimator()
+    it.heard(reading(5_000), 1_000)
+    assert opened(it.due(5_001)).readings["speed_mm_s"].age_ms > 1_000_000_000
+
+
+def test_the_rate_is_kept() -> None:
+    it = estimator(rate_hz=10)
+    sent = []
+    for now in range(1_000, 2_000, 5):
+        it.heard(reading(now), now)
+        if it.due(now) is not None:
+            sent.append(now)
+            it.answered(framed(Kind.REPLY, {}))
+    assert len(sent) == 10
+
+
+def test_a_refusal_is_returned_and_the_next_one_is_sent() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 1_000)
+    it.due(1_000)
+    fault = Fault(code="STATE_STALE", message="older", where="state.seq")
+    refusal = it.answered(framed(Kind.ERROR, fault))
+    assert refusal is not None
+    assert "older" in refusal.message
+    assert it.due(1_050) is not None
+
+
+def test_a_gate_that_answers_nothing_is_overdue_until_it_hangs_up() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 1_000)
+    it.due(1_000)
+    assert not it.is_overdue(1_000 + ANSWER_MS)
+    assert it.is_overdue(1_001 + ANSWER_MS)
+    it.hung_up()
+    assert not it.is_overdue(9_000)
+    assert opened(it.due(9_000)).seq == 2
+
+
+def test_another_robot_is_not_attested() -> None:
+    it = estimator()
+    with pytest.raises(MalformedError):
+        it.heard(reading(1_000, rid=worlds.OTHER), 1_000)
+    with pytest.raises(MalformedError):
+        it.heard(framed(Kind.EVENT, {"robot": worlds.RID}), 1_000)
+    assert it.due(1_000) is None
+
+
+def test_a_robot_without_an_estimator_signs_nothing_and_still_sees() -> None:
+    faults = Faults(localization_stops_ms=200, estimator_dies_ms=1_000)
+    robot = SymbolicRobot(
+        worlds.site(),
+        worlds.RID,
+        worlds.world(),
+        estimator=None,
+        start_ms=worlds.START_MS,
+        faults=faults,
+    )
+    assert robot.latest() is None
+    seen = robot.sensed()
+    assert seen is not None
+    assert (seen.epoch, seen.seq) == (0, 0)
+    robot.pause(500)
+    later = robot.sensed()
+    assert later is not None
+    assert later.pose is not None
+    assert later.pose.age_ms >= 300
+    robot.pause(500)
+    assert robot.sensed() is None
