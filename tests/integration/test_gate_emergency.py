@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,12 +20,15 @@ import pytest
 import emergencies
 import worlds
 from authguard_r.core.quantities import to_timestamp
+from authguard_r.emergency.policy import EmergencyPolicy
 from authguard_r.wire.messages import ClientRole
 from gates import AUTHGUARD, PATIENCE_S, RunningGate, until
 from integration.test_gate_recovery import fill, turn_the_clock_back
 from integration.test_gate_watching import connected, operator
 
 HOUR_MS = 3_600_000
+#: A day that is over, whatever the clock says.
+OVER = {"not_before": "2020-01-01T00:00:00Z", "expiry": "2020-01-02T00:00:00Z"}
 FAST = ("--speed-up", "50", "--at", "station-103")
 
 
@@ -33,6 +37,16 @@ def site_file(folder: Path) -> Path:
     path = folder / "site.json.yaml"
     path.write_bytes(msgspec.json.encode(emergencies.site()))
     return path
+
+
+def policy_now(*capabilities: dict[str, Any], **changes: Any) -> EmergencyPolicy:
+    """Return a policy by the clock of the machine, which is a real gate's."""
+    now = time.time_ns() // 1_000_000
+    times = {
+        "not_before": to_timestamp(now - HOUR_MS),
+        "expiry": to_timestamp(now + 30 * emergencies.DAY_MS),
+    }
+    return emergencies.policy(*capabilities, **{**times, **changes})
 
 
 class Ward(RunningGate):
@@ -49,7 +63,7 @@ class Ward(RunningGate):
             }
         )
         self.policy = folder / "emergency.token"
-        self.policy.write_bytes(emergencies.token(emergencies.policy(*capabilities)))
+        self.policy.write_bytes(emergencies.token(policy_now(*capabilities)))
 
     def start_gate(self, *more: str) -> dict[str, Any]:
         return super().start_gate("--emergency-policy", str(self.policy), *more)
@@ -149,7 +163,7 @@ def fill_up(ward: Ward) -> None:
 @pytest.mark.parametrize(
     ("changes", "by", "code"),
     [
-        ({"expiry": to_timestamp(worlds.START_MS - 60_000)}, "safety-officer-1", "EXPIRED"),
+        (OVER, "safety-officer-1", "EXPIRED"),
         ({"robot": worlds.OTHER}, "safety-officer-1", "ROBOT_MISMATCH"),
         ({}, "operator-1", "ROLE_DENIED"),
         (None, "", "MALFORMED"),
@@ -163,7 +177,7 @@ def test_a_gate_does_not_start_with_a_policy_that_does_not_count(
         if changes is None:
             ward.policy.write_bytes(msgspec.json.encode(emergencies.policy()))
         else:
-            value = emergencies.policy(**changes)
+            value = policy_now(**changes)
             ward.policy.write_bytes(emergencies.token(value, by=by))
         words = ["--site", ward.site, "--binding", ward.binding, "--config", ward._config]
         words += ["--store", ward.store, "--run", ward.run, "--robot", ward.rid, "--demo"]

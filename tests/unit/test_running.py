@@ -10,7 +10,7 @@ import pytest
 import worlds
 from authguard_r.audit.record import read_record
 from authguard_r.core.action import Action
-from authguard_r.core.encoding import b64
+from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import ControllerError, StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend
@@ -177,6 +177,29 @@ def test_who_asked_to_be_told_is_told_right_before_the_outcome_is_recorded() -> 
     bench.flight.ended = Outcome.SUCCEEDED
     running.poll()
     assert seen == [0]
+
+
+@pytest.mark.parametrize("believed", [True, False])
+def test_an_outcome_of_a_superseded_version_is_held_to_the_version_in_force(
+    believed: bool,
+) -> None:
+    bench = Bench()
+    running = bench.begin()
+    first = digest_of(Tag.MISSION, worlds.mission())
+    second = worlds.mission("mission-v2.yaml", supersedes=first)
+    bench.sim.gate.management.activate(worlds.token(second))
+    bench.flight.ended = Outcome.SUCCEEDED
+    if not believed:  # nobody's certificate counts any more
+        bench.sim.gate.enforcer.intake.forget()
+        bench.sim.robot._start_ms += 400 * 86_400_000
+    report = running.poll()
+    assert report is not None
+    assert (report.outcome, report.outcome_recorded) == (Outcome.SUCCEEDED, True)
+    assert (bench.standing.digest, bench.standing.status) == (
+        digest_of(Tag.MISSION, second),
+        "active",
+    )
+    assert bench.standing.open == ()
 
 
 # what is held beside a decision and an outcome

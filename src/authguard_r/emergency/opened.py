@@ -92,9 +92,7 @@ def require_signer(opened: OpenedPolicy, *, verifier: Verifier) -> None:
     _open(opened.token, verifier, opened.at)
 
 
-def _open(
-    data: bytes, verifier: Verifier, now: Now
-) -> tuple[EmergencyPolicy, Digest, Principal]:
+def _open(data: bytes, verifier: Verifier, now: Now) -> tuple[EmergencyPolicy, Digest, Principal]:
     return open_token(
         data,
         EmergencyPolicy,

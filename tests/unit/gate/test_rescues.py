@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +15,15 @@ import emergencies
 import worlds
 from authguard_r.audit.record import Record, read_record
 from authguard_r.commands import Verb
-from authguard_r.core.errors import StoreError
+from authguard_r.core.errors import AuthenticityError, StoreError
 from authguard_r.core.ports import Store
+from authguard_r.core.quantities import Now
 from authguard_r.emergency.journal import EmergencyJournal
+from authguard_r.emergency.opened import open_emergency, require_signer
 from authguard_r.emergency.policy import Caller, EmergencyPolicy
 from authguard_r.gate import rescues
 from authguard_r.gate.roads import open_road
+from authguard_r.keys.authority import revoke
 from authguard_r.rescue import Rescued
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
@@ -156,10 +161,15 @@ def test_an_emergency_under_way_stops_when_its_signer_is_revoked(tmp_path: Path)
 
 def test_dates_that_passed_say_nothing_against_a_policy_that_was_opened_in_time() -> None:
     with Ward(at="station-103") as house:
-        later = Now(worlds.START_MS + 400 * emergencies.DAY_MS, 0)  # certificates and lists are over
+        later = Now(
+            worlds.START_MS + 400 * emergencies.DAY_MS, 0
+        )  # certificates and lists are over
+        opened, trust = house.road.opened, house.gate.trust
         with pytest.raises(AuthenticityError):
-            house.gate.trust.identify(house.road.opened_chain, later)
-        require_signer(house.road.opened, verifier=house.gate.trust)
+            open_emergency(
+                opened.token, verifier=trust, now=later, site=emergencies.site(), robot=worlds.RID
+            )
+        require_signer(opened, verifier=trust)
 
 
 @pytest.mark.parametrize(
