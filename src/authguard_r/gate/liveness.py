@@ -13,7 +13,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from authguard_r.core.decision import Verdict
 from authguard_r.core.identifiers import Identifier
+from authguard_r.core.mission import OnRefusal
 from authguard_r.core.standing import Outcome
 from authguard_r.gate.config import GateConfig
 from authguard_r.report import Report
@@ -48,6 +50,7 @@ class Liveness:
         self._heard: dict[ClientRole, int] = {}
         self._silent: set[ClientRole] = set()
         self._refused: dict[str, int] = {}
+        self._asked: set[str] = set()
         self._active = False
         self._since_ms = mono_ms()
         self._in_time = True
@@ -94,12 +97,17 @@ class Liveness:
         self._in_time = right
 
     def judge(self, client: Identifier, report: Report) -> bool:
-        """Count refusals in a row; True when it is time to stop the robot."""
+        """Count refusals in a row; True when it is time to stop the robot.
+
+        Where the mission says that a person is asked, the first of a user's row asks.
+        """
         user = client.partition(".")[0]  # under all its names: another name is no progress
         if report.outcome is Outcome.SUCCEEDED:
             self._refused.pop(user, None)
             self._refused.pop(client, None)
+            self._asked.discard(user)
             return False
+        self._ask(client, user, report)
         if report.judged is not None and report.judged.released:
             return False  # it got somewhere, if not to the end
         rows = {self._count(client), self._count(user)}
@@ -107,6 +115,16 @@ class Liveness:
             return False
         self.alert("no progress", {"client": client, "refusals": self._config.refusals})
         return True
+
+    def _ask(self, client: Identifier, user: str, report: Report) -> None:
+        """Tell people, who decide what is done now; the robot holds until they do."""
+        judged = report.judged
+        if judged is None or judged.verified.mission.on_refusal is not OnRefusal.ASK:
+            return
+        if judged.decision.verdict is Verdict.REQUEST_APPROVAL or user in self._asked:
+            return  # an approval's request asks by itself
+        self._asked.add(user)
+        self.alert("a person is asked", {"client": client, "decision": report.seq})
 
     def _count(self, who: str) -> int:
         count = self._refused.pop(who, 0) + 1

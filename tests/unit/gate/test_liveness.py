@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 
 import worlds
+from authguard_r.core.action import Action
+from authguard_r.core.decision import Verdict
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.liveness import _COUNTED, _SHOWN, Liveness
@@ -122,6 +124,36 @@ def test_refusals_in_a_row_are_no_progress_and_a_success_begins_anew() -> None:
     assert judge(CLIENT, released(succeeds=False)) is False  # it got somewhere
     assert bench.raised == ["no progress"] * 2
     assert bench.liveness.alerts[-1] == {"what": "no progress", "client": CLIENT, "refusals": 3}
+
+
+def asking(action: Action, **changes: Any) -> Report:
+    """Return what becomes of an action under a mission whose refusals ask a person."""
+    sim = worlds.simulation()
+    sim.gate.management.activate(worlds.token(worlds.mission(on_refusal="ask", **changes)))
+    report: Report = worlds.propose(sim, action)
+    return report
+
+
+def test_a_person_is_asked_once_for_a_row_where_the_mission_says_so() -> None:
+    bench = Bench(refusals=0)
+    refused = asking(worlds.navigate("dock", "office-1"))
+    for name in ("u1.a", "u1.b", "u2.a"):  # a name is nobody else's
+        bench.liveness.judge(Identifier(name), refused)
+    asked = {"what": "a person is asked", "decision": refused.seq}
+    assert list(bench.liveness.alerts) == [{**asked, "client": n} for n in ("u1.a", "u2.a")]
+    bench.liveness.judge(Identifier("u1.a"), released(succeeds=True))
+    bench.liveness.judge(Identifier("u1.a"), refused)
+    assert bench.raised == ["a person is asked"] * 3
+
+
+def test_nobody_is_asked_what_an_approvals_request_asks_already() -> None:
+    bench = Bench(refusals=0)
+    everything = {**worlds.draft()["risk_policy"], "tau_1": 0}
+    waits = asking(worlds.navigate("dock", "pharmacy"), risk_policy=everything)
+    assert waits.judged is not None
+    assert waits.judged.decision.verdict is Verdict.REQUEST_APPROVAL
+    bench.liveness.judge(CLIENT, waits)
+    assert bench.raised == []
 
 
 def test_one_planners_refusals_are_not_anothers() -> None:
