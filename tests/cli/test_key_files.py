@@ -382,7 +382,8 @@ def test_a_key_in_hardware_gets_its_certificate_by_request(shell: Shell, tmp_pat
         say(token.pin, "pin")
         key = ["--key", token.uri("operator-1"), "--passphrase-file", "pin"]
         assert shell("keys", "init", "auth", "--no-demo")[0] == 0
-        asked = ["--role", "operator", "--principal", "operator-1", "--every-robot"]
+        asked = ["--role", "operator", "--principal", "operator-1"]
+        asked += ["--every-robot", "--every-region"]
         code, told = shell.json("keys", "request", *asked, *key, "--out", "op")
         assert (code, told["request"]) == (0, "op/operator-1.request.json")
         assert [path.name for path in Path("op").iterdir()] == ["operator-1.request.json"]
@@ -409,7 +410,8 @@ def open_signing(token: Token, cert: str) -> Iterator[FileSigner]:
 def test_a_key_that_is_there_asks_for_its_own_certificate(shell: Shell) -> None:
     """Sealed before anything was asked for: the key was never plain beside its certificate."""
     assert shell("keys", "protect", KEY, *PASS)[0] == 0
-    asked = ["--role", "operator", "--principal", "operator-1", "--every-robot", "--key", KEY]
+    asked = ["--role", "operator", "--principal", "operator-1", "--key", KEY]
+    asked += ["--every-robot", "--every-region"]
     assert shell("keys", "request", *asked, "--out", "op")[0] == 4
     assert shell("keys", "request", *asked, *PASS, "--out", "op")[0] == 0
     request = open_request(Path("op/operator-1.request.json").read_bytes())

@@ -17,6 +17,7 @@ import worlds
 from authguard_r.cli import call
 from authguard_r.cli.inputs import wall_now
 from authguard_r.core.errors import AuthenticityError
+from authguard_r.core.token import Scope
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
@@ -244,16 +245,62 @@ def test_a_key_is_never_written_over(machines: Machines) -> None:
     assert Path("op/operator-1.key.pem").read_bytes() == before
 
 
+@pytest.mark.parametrize("role", ["operator", "supervisor", "safety_officer", "scheduler"])
+def test_who_signs_for_what_is_named_is_not_certified_for_nothing(
+    machines: Machines, role: str
+) -> None:
+    words = ("keys", "request", "--role", role, "--principal", "p-1", "--out", "x")
+    robots = "--robot ID (may be repeated) or --every-robot"
+    regions = "--region ID (may be repeated) or --every-region"
+    for scope, lacks in (
+        ((), (robots, regions)),
+        (("--robot", "courier-1"), (regions,)),
+        (("--every-robot",), (regions,)),
+        (("--region", "dock"), (robots,)),
+        (("--every-region",), (robots,)),
+    ):
+        code, told = machines.json(*words, *scope)
+        assert (code, told["error"]["code"]) == (2, "USAGE")
+        for options in (robots, regions):
+            assert (options in told["error"]["message"]) == (options in lacks)
+    assert not Path("x").exists()
+    if role != "scheduler":
+        narrow = ("--robot", "courier-1", "--region", "dock")
+        assert machines(*words, *narrow)[0] == 0
+
+
+@pytest.mark.parametrize("role", ["gate", "estimator"])
+@pytest.mark.parametrize(
+    "robots",
+    [
+        (),
+        ("--every-robot",),
+        ("--robot", "courier-1", "--robot", "lifter-1"),
+        ("--robot", "courier-1", "--every-robot"),
+    ],
+)
+def test_a_machine_is_of_one_robot(machines: Machines, role: str, robots: tuple[str, ...]) -> None:
+    words = ("--role", role, "--principal", "m-1", "--site", "h/site.yaml", "--out", "x")
+    code, told = machines.json("keys", "request", *words, *robots)
+    assert (code, told["error"]["code"]) == (2, "USAGE")
+    assert "--robot" in told["error"]["message"]
+    assert not Path("x").exists()
+
+
+@pytest.mark.parametrize("role", ["site_authority", "witness"])
+def test_whose_signatures_are_not_confined_names_no_robot(machines: Machines, role: str) -> None:
+    stem = machines.member("m", "--role", role, "--principal", "m-1")
+    assert holds(stem, "m/trust").scope == Scope(robots=frozenset(), regions=frozenset())
+
+
 def test_what_nobody_could_grant_makes_no_key(machines: Machines) -> None:
     for words in (
-        ("--role", "estimator", "--principal", "e", "--robot", "a", "--robot", "b"),
-        ("--role", "scheduler", "--principal", "s"),
-        ("--role", "operator", "--principal", "o", "--robot", "a", "--every-robot"),
+        ("--role", "scheduler", "--principal", "s", *EVERYWHERE),
+        ("--role", "operator", "--principal", "o", *EVERYWHERE, "--robot", "a"),
     ):
         assert machines.refused(4, "keys", "request", *words, "--out", "x") == "MALFORMED"
-    assert (
-        machines("keys", "request", "--role", "operator", "--principal", "No", "--out", "x")[0] == 2
-    )
+    words = ("--role", "operator", "--principal", "No", *EVERYWHERE)
+    assert machines("keys", "request", *words, "--out", "x")[0] == 2
     assert not Path("x").exists()
 
 

@@ -10,8 +10,10 @@ from typing import Annotated, TypeVar
 
 import typer
 from msgspec import to_builtins
+from msgspec.structs import replace
 
 from authguard_r.cli.binding import compared_with
+from authguard_r.cli.doctor_policies import Policies, policy_advice
 from authguard_r.cli.gate_config import open_config, user_number
 from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
 from authguard_r.cli.out import emit
@@ -75,6 +77,16 @@ def doctor(
     config: Annotated[
         Path | None, typer.Option("--config", help="The gate's configuration; needs --trust.")
     ] = None,
+    risk_policy: Annotated[
+        Path | None,
+        typer.Option("--risk-policy", help="The organization's signed policy; needs --trust."),
+    ] = None,
+    emergency: Annotated[
+        Path | None,
+        typer.Option(
+            "--emergency-policy", help="The signed emergency policy; needs --trust and --site."
+        ),
+    ] = None,
     key: Annotated[Path | None, typer.Option("--key", help="The gate's private key.")] = None,
     cert: Annotated[Path | None, typer.Option("--cert", help="The gate's certificates.")] = None,
     run: Annotated[
@@ -92,46 +104,73 @@ def doctor(
     lies = _Lying(folder)
     trust, site, binding = lies.at(trust, "trust"), lies.at(site, "site.yaml"), lies.tools(binding)
     config, store = lies.at(config, "gate.token"), lies.at(store, "robot.db")
-    key, cert = lies.at(key, lies.gate("key.pem")), lies.at(cert, lies.gate("cert.pem"))
-    run = lies.at(run, "run")
-    listed = lies.at(None, "interface.yaml")
-    for given, needed, name in ((binding, site, "--site"), (config, trust, "--trust")):
-        if given is not None and needed is None:
-            raise typer.BadParameter(f"`{given}` cannot be read without it", param_hint=name)
-    faults: list[Advice] = []
-    model = _part(faults, "site", Code.SITE, site, lambda path: load_site(path, trust))
-    tools = surfaces = None
-    if model is not None:
-        tools = _part(faults, "binding", Code.BINDING, binding, lambda p: read_binding(p, model))
-        compare = interface or ([str(listed)] if listed is not None else None)
-        surfaces = _part(
-            faults, "binding", Code.BINDING, binding, lambda p: compared_with(str(p), compare)
-        )
-    configured = None
-    if trust is not None:
-        configured = _part(faults, "config", Code.CONFIG, config, lambda p: open_config(p, trust))
+    named = Policies(
+        risk=lies.at(risk_policy, "policy.token"), emergency=lies.at(emergency, "emergency.token")
+    )
+    _require_both((binding, site, "--site"), (config, trust, "--trust"))
+    _require_both((named.risk, trust, "--trust"), (named.emergency, trust, "--trust"))
+    _require_both((named.emergency, site, "--site"))
+    believed = (site, binding, config, named.risk, named.emergency)
     setup = Setup(
         demo=_is_demo(trust),
         uid=os.geteuid() if user is None else user_number(user, where="--user"),
         trust=trust,
-        key=key,
-        chain=cert,
-        site=model,
-        binding=tools,
+        key=lies.at(key, lies.gate("key.pem")),
+        chain=lies.at(cert, lies.gate("cert.pem")),
         model=site,
         tools=binding,
-        interface=surfaces or (),
-        config=configured,
         store=store,
-        run=run,
+        run=lies.at(run, "run"),
         counter=lies.at(counter, "counter"),
-        files=tuple(path for path in (site, binding, config) if path is not None),
+        files=tuple(path for path in believed if path is not None),
         deep=True,
     )
-    found = (*checkup(setup, wall_now(None)), *faults, *_open(model, site))
+    listed = lies.at(None, "interface.yaml")
+    compare = interface or ([str(listed)] if listed is not None else None)
+    setup, faults = _read(setup, compare, config)
+    now = wall_now(None)
+    found = (
+        *checkup(setup, now),
+        *policy_advice(named, setup, now),
+        *faults,
+        *_open(setup.site, site),
+    )
     payload = {"safe": is_safe(found), "advice": [to_builtins(item) for item in found]}
     emit(payload, [_line(item) for item in found], as_json=as_json)
     return 0 if is_safe(found) else 5
+
+
+def _require_both(*parts: tuple[Path | None, Path | None, str]) -> None:
+    """Require beside each part the one that it cannot be read without, by that one's option."""
+    for given, needed, name in parts:
+        if given is not None and needed is None:
+            raise typer.BadParameter(f"`{given}` cannot be read without it", param_hint=name)
+
+
+def _read(
+    setup: Setup, compare: list[str] | None, config: Path | None
+) -> tuple[Setup, list[Advice]]:
+    """Return the set-up with those of its parts that can be read, and what is wrong with others.
+
+    Args:
+        setup: the files and folders.
+        compare: what the tools say of themselves.
+        config: the gate's configuration.
+    """
+    faults: list[Advice] = []
+    trust, binding = setup.trust, setup.tools
+    model = _part(faults, "site", Code.SITE, setup.model, lambda path: load_site(path, trust))
+    tools = surfaces = configured = None
+    if model is not None:
+        tools = _part(faults, "binding", Code.BINDING, binding, lambda p: read_binding(p, model))
+        surfaces = _part(
+            faults, "binding", Code.BINDING, binding, lambda p: compared_with(str(p), compare)
+        )
+    if trust is not None:
+        configured = _part(faults, "config", Code.CONFIG, config, lambda p: open_config(p, trust))
+    return replace(
+        setup, site=model, binding=tools, interface=surfaces or (), config=configured
+    ), faults
 
 
 def _part(

@@ -14,12 +14,11 @@ from typing import Annotated, Any
 import typer
 from msgspec import Struct, to_builtins
 
-from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ProofOption, Reading, connected
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
-from authguard_r.cli.mission_files import write_whole
 from authguard_r.cli.orders import signer_of
 from authguard_r.cli.out import emit
+from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.units import to_integer
@@ -39,10 +38,11 @@ from authguard_r.core.identifiers import (
 from authguard_r.core.mission import Comparison, Guard
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import read_token, sign_object
+from authguard_r.core.token import read_token
 from authguard_r.emergency.lint import lint_policy
 from authguard_r.emergency.opened import POLICY_ROLES, open_emergency
 from authguard_r.emergency.policy import Aim, Caller, Capability, EmergencyPolicy, Missing
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert, read_text, read_yaml
@@ -155,14 +155,17 @@ def sign(
             reason=Reason.ROLE_DENIED,
             where="--cert",
         )
-    shown = list(_card(policy))
-    if not yes:
-        confirm_shown(shown, "Sign exactly this?", as_json=as_json)
     target = out or file.with_suffix(".token")
-    write_whole(target, sign_object(policy, Tag.EMERGENCY_POLICY, signer))
-    payload = {"policy": to_builtins(policy), "file": str(target)}
-    emit(payload, [*(shown if yes else []), str(target)], as_json=as_json)
-    return 0
+    return sign_shown(
+        policy,
+        Tag.EMERGENCY_POLICY,
+        signer,
+        card=list(_card(policy)),
+        target=target,
+        payload={"policy": to_builtins(policy), "file": str(target)},
+        yes=yes,
+        as_json=as_json,
+    )
 
 
 @policy_app.command("show")
@@ -176,7 +179,7 @@ def show(
     """Show a policy; with --trust and --site, once everything that a gate asks of it holds."""
     if (trust is None) is not (site is None):
         raise typer.BadParameter("--trust and --site go together", param_hint="--trust")
-    policy = _claimed(token)
+    policy = claimed_policy(read_file(token))
     note = ["not verified: name --trust and --site"]
     if trust is not None and site is not None:
         at, model = wall_now(now), load_site(site, trust)
@@ -218,13 +221,13 @@ def _told_lines(told: dict[str, Any]) -> Iterator[str]:
         yield "  WARNING: nobody could record how it ended"
 
 
-def _claimed(token: Path) -> EmergencyPolicy:
+def claimed_policy(data: bytes) -> EmergencyPolicy:
     """Return what a token says, without any claim that it is authentic.
 
     Raises:
         MalformedError: no canonical token of an emergency policy.
     """
-    read = read_token(read_file(token))
+    read = read_token(data)
     if read.kind is not Tag.EMERGENCY_POLICY:
         raise MalformedError(
             f"expected a token of kind `{Tag.EMERGENCY_POLICY}`, got `{read.kind}`",

@@ -17,10 +17,9 @@ import typer
 from msgspec import Struct, to_builtins
 
 from authguard_r.assembly import folder_signer
-from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
-from authguard_r.cli.mission_files import write_whole
 from authguard_r.cli.out import emit
+from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.units import to_integer
@@ -33,6 +32,7 @@ from authguard_r.gate.checkup.advice import Advice, in_demonstration
 from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
 from authguard_r.gate.config import CONFIG_ROLES, GateConfig, Peer, default_config, open_gate_config
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.shapes import Disclosure
@@ -132,13 +132,17 @@ def sign(
     form = convert(read_yaml(read_text(file), where=where), Form, where=where)
     config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
     _require_authority(signer, trust)
-    if not yes:
-        confirm_shown(card(config), "Sign exactly this?", as_json=as_json)
     target = out or file.with_suffix(".token")
-    write_whole(target, sign_object(config, Tag.GATE, signer))
-    shown = card(config) if yes else []
-    emit(_payload(config, target), [*shown, str(target)], as_json=as_json)
-    return 0
+    return sign_shown(
+        config,
+        Tag.GATE,
+        signer,
+        card=card(config),
+        target=target,
+        payload=_payload(config, target),
+        yes=yes,
+        as_json=as_json,
+    )
 
 
 @app.command("show")

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
-from authguard_r.cli.mission_files import mission_digest, warn, write_whole
+from authguard_r.cli.mission_files import mission_digest, warn
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import trust_folder_of
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
@@ -21,6 +21,7 @@ from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
 from authguard_r.templates import Hole, HoleKind, Instance, Template, covered, sign_instance

@@ -24,6 +24,8 @@ from authguard_r.keys.algorithms import Algorithm, algorithm_of, generate
 from authguard_r.keys.certificate import Leaf, Role
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.request import (
+    CONFINED,
+    OF_ONE_ROBOT,
     OpenedRequest,
     Wanted,
     key_fingerprint,
@@ -67,13 +69,22 @@ def request_command(
     principal: Annotated[str, typer.Option("--principal", help="Whose key it is.")],
     out: Annotated[Path, typer.Option("--out", help="The folder for key and request.")],
     robot: Annotated[
-        list[str] | None, typer.Option("--robot", help="For this robot; may be repeated.")
+        list[str] | None,
+        typer.Option("--robot", help="For this robot; may be repeated. A gate has just one."),
     ] = None,
-    every_robot: Annotated[bool, typer.Option("--every-robot", help="For every robot.")] = False,
+    every_robot: Annotated[
+        bool, typer.Option("--every-robot", help="For every robot, in the place of --robot.")
+    ] = False,
     region: Annotated[
-        list[str] | None, typer.Option("--region", help="In this region; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--region",
+            help="In this region; may be repeated. People who give orders need one, as a robot.",
+        ),
     ] = None,
-    every_region: Annotated[bool, typer.Option("--every-region", help="Everywhere.")] = False,
+    every_region: Annotated[
+        bool, typer.Option("--every-region", help="Everywhere, in the place of --region.")
+    ] = False,
     site: Annotated[
         Path | None, typer.Option("--site", help="The site: a gate's profile is in it.")
     ] = None,
@@ -94,6 +105,7 @@ def request_command(
     for name in (principal, *(robot or ()), *(region or ())):
         if not is_identifier(name):
             raise typer.BadParameter(f"expected an identifier, got `{name}`")
+    _require_scope(role, robot or [], region or [], every=(every_robot, every_region))
     wanted = Wanted(
         principal=PrincipalId(principal),
         role=role,
@@ -112,11 +124,48 @@ def request_command(
     return _ask(out, principal, wanted, chosen(algorithm), before=None, as_json=as_json)
 
 
+def _require_scope(
+    role: Role, robots: list[str], regions: list[str], *, every: tuple[bool, bool]
+) -> None:
+    """Refuse to ask for a certificate that its holder could sign nothing with.
+
+    What is not named is outside. That is said here, before there is a key, and not by a gate that
+    refuses the first mission.
+
+    Args:
+        role: what the key shall sign.
+        robots: those that were named.
+        regions: those that were named.
+        every: whether every robot was said, and every region.
+
+    Raises:
+        typer.BadParameter: what is missing, by its options.
+    """
+    if role in OF_ONE_ROBOT and (len(set(robots)) != 1 or every[0]):
+        raise typer.BadParameter(
+            f"the key of a role `{role}` is one robot's: name that one", param_hint="--robot"
+        )
+    lacks = [
+        f"{one} ID (may be repeated) or {all_of_them}"
+        for given, one, all_of_them in (
+            (robots or every[0], "--robot", "--every-robot"),
+            (regions or every[1], "--region", "--every-region"),
+        )
+        if role in CONFINED and not given
+    ]
+    if lacks:
+        raise typer.BadParameter(
+            f"a key in the role `{role}` signs for what its certificate names and nothing else: "
+            f"give {', and '.join(lacks)}",
+            param_hint=lacks[0].split()[0],
+        )
+
+
 def _profile(role: Role, robots: list[str], site: Path | None) -> Digest | None:
     if role is not Role.GATE:
         return None
-    if site is None or len(robots) != 1:
-        raise typer.BadParameter("a gate needs its site and its one --robot", param_hint="--site")
+    if site is None:
+        raise typer.BadParameter("a gate's profile is in its site: name it", param_hint="--site")
     model = load_site(site)
     if robots[0] not in model.robots:
         raise typer.BadParameter(f"the site has no robot `{robots[0]}`", param_hint="--robot")

@@ -22,7 +22,7 @@ from authguard_r.cli.inputs import (
     read_mission,
     wall_now,
 )
-from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified, write_whole
+from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_command
 from authguard_r.compile.answers import compile_answered, read_answers
@@ -33,6 +33,7 @@ from authguard_r.compile.spoken import row_words
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -59,21 +58,3 @@ def warn(text: str) -> None:
 def lint_json(findings: tuple[LintFinding, ...]) -> list[Any]:
     """Return findings as they are printed."""
     return [msgspec.to_builtins(finding) for finding in findings]
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that a reader finds all of it or what was there before.
-
-    Raises:
-        OSError: nothing took its place.
-    """
-    new = path.with_name(f"{path.name}.new")
-    try:
-        with new.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(path)
-    except BaseException:
-        new.unlink(missing_ok=True)
-        raise

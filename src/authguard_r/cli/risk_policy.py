@@ -19,10 +19,9 @@ from authguard_r.approvals.organization import (
     policy_digest,
     require_sound_policy,
 )
-from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
-from authguard_r.cli.mission_files import write_whole
 from authguard_r.cli.out import emit
+from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.compile import spoken
 from authguard_r.compile.draft import DraftRisk
@@ -35,7 +34,7 @@ from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import Identifier, Positive
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import read_token, sign_object
+from authguard_r.core.token import read_token
 from authguard_r.keys.certificate import read_claims
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site
@@ -109,13 +108,17 @@ def sign(
             reason=Reason.ROLE_DENIED,
             where="--cert",
         )
-    if not yes:
-        confirm_shown(card(policy), "Sign exactly this?", as_json=as_json)
     target = out or file.with_suffix(".token")
-    write_whole(target, sign_object(policy, Tag.RISK_POLICY, signer))
-    shown = card(policy) if yes else []
-    emit(_payload(policy, target), [*shown, str(target)], as_json=as_json)
-    return 0
+    return sign_shown(
+        policy,
+        Tag.RISK_POLICY,
+        signer,
+        card=card(policy),
+        target=target,
+        payload=_payload(policy, target),
+        yes=yes,
+        as_json=as_json,
+    )
 
 
 @app.command("show")

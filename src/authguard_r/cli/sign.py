@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import typer
@@ -18,7 +18,6 @@ from authguard_r.cli.mission_files import (
     mission_digest,
     read_unverified,
     warn,
-    write_whole,
 )
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
@@ -34,6 +33,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
 
@@ -195,6 +195,40 @@ def require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) ->
             reason=Reason.ISSUER_MISMATCH,
             where="mission.issuer",
         )
+
+
+def sign_shown(
+    value: object,
+    tag: Tag,
+    signer: FileSigner,
+    *,
+    card: list[str],
+    target: Path,
+    payload: dict[str, Any],
+    yes: bool,
+    as_json: bool,
+) -> int:
+    """Show what is to be signed, ask, sign, write the token, say where; without a yes, nothing.
+
+    Args:
+        value: what is signed.
+        tag: its kind.
+        signer: the key, whose role was looked at before.
+        card: the value for the person who signs it.
+        target: where the token goes.
+        payload: what a program is told.
+        yes: a script signs: nobody is asked, and what was signed is shown afterwards.
+        as_json: print the payload; the question goes to standard error.
+
+    Raises:
+        typer.Abort: the person said no.
+        EnvironmentFault: the token could not be written.
+    """
+    if not yes:
+        confirm_shown(card, "Sign exactly this?", as_json=as_json)
+    write_whole(target, sign_object(value, tag, signer))
+    emit(payload, [*(card if yes else []), str(target)], as_json=as_json)
+    return 0
 
 
 def write_signed(target: Path, token: bytes, confirmation: bytes) -> Path:

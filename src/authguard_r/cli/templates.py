@@ -22,7 +22,7 @@ from authguard_r.cli.inputs import (
     load_site,
     wall_now,
 )
-from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn, write_whole
+from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn
 from authguard_r.cli.orders import (
     ORDER_MS,
     CertOption,
@@ -60,6 +60,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Role
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml

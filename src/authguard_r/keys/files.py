@@ -7,6 +7,7 @@ Spec page: docs/spec/token.md#trust-folder
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -33,12 +34,14 @@ def write_whole(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         new.replace(path)
     except OSError as error:
-        new.unlink(missing_ok=True)
         raise EnvironmentFault(
             f"cannot write `{path}`: {error.strerror}",
             reason=Reason.STORE_UNAVAILABLE,
             where=str(path),
         ) from error
+    finally:
+        with suppress(OSError):  # it has the place by now, or a half of it is nobody's
+            new.unlink()
 
 
 def install_answer(folder: Path, opened: OpenedAnswer) -> None:

@@ -49,6 +49,11 @@ _NO_REQUEST = (
     x509.InvalidVersion,
     x509.UnsupportedGeneralNameType,
 )
+#: Whose signatures count for the robots and regions that their certificate names, and no others:
+#: without both they could sign nothing. What the other roles sign is not confined.
+CONFINED = frozenset({Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER, Role.SCHEDULER})
+#: What belongs to one robot; its certificate names that one.
+OF_ONE_ROBOT = frozenset({Role.GATE, Role.ESTIMATOR})
 _WANTED = "urn:authguard-r:wanted:"
 _Proofs = Annotated[tuple[Base64Url, ...], Meta(min_length=1, max_length=2)]
 
@@ -282,7 +287,7 @@ def _require_sense(wanted: Wanted) -> None:
             raise MalformedError(
                 "expected distinct names in order, or every one", where=f"request.{name}"
             )
-    if role in {Role.GATE, Role.ESTIMATOR} and robots != 1:
+    if role in OF_ONE_ROBOT and robots != 1:
         raise MalformedError("expected the one robot that it is of", where="request.robots")
     if (wanted.profile is not None) is not (role is Role.GATE):
         raise MalformedError("expected a gate's, and only a gate's", where="request.profile")

@@ -54,7 +54,7 @@ from authguard_r.normalize.interface import Surface
 from authguard_r.site.model import Site, profile_digest
 
 #: How long before its end a certificate is warned of.
-_SOON_MS = 30 * 86_400_000
+SOON_MS = 30 * 86_400_000
 #: A list is warned of when less than one in so many parts of its life is left.
 _LEAST_PARTS = 4
 #: The longest path of a Unix socket, in bytes, and the longest name that one has in a run folder.
@@ -198,7 +198,7 @@ def _certificate(path: Path, trust: Trust, setup: Setup, now: Now) -> Iterator[A
         yield unsafe(part, Code.CERTIFICATE, message, place=str(path), mend="issue it again")
         return
     until_ms = _ends_ms(path, trust)
-    if until_ms - now.utc_ms < _SOON_MS:
+    if until_ms - now.utc_ms < SOON_MS:
         message = f"usable only until {to_timestamp(until_ms)}"
         yield warning(part, Code.CERTIFICATE, message, place=str(path), mend=_RENEW)
     if path == setup.chain:
