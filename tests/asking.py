@@ -22,7 +22,7 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.standing import ApprovalRequest
 from authguard_r.core.token import sign_object
 from authguard_r.gate.questions import OpenQuestions
-from authguard_r.keys.algorithms import Algorithm, generate
+from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
 from authguard_r.keys.certificate import Role, build_leaf
 from authguard_r.keys.setup import read_authority
 from authguard_r.keys.signer import FileSigner
@@ -123,10 +123,11 @@ def key_of(
     threshold: int = 1,
     members: tuple[str, ...] = (),
     days: int = 365,
+    key: PrivateKey | None = None,
 ) -> FileSigner:
-    """Return a fresh key under a folder's authority of people: a person's, or a group's."""
+    """Return a key under a folder's authority of people, a fresh one: a person's, or a group's."""
     authority = read_authority(folder, "people")
-    key = generate(Algorithm.ED25519)
+    key = key or generate(Algorithm.ED25519)
     leaf = build_leaf(
         key.public_key(),
         principal=name,

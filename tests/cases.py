@@ -17,6 +17,7 @@ import msgspec
 
 import authguard_reference as oracle
 import worlds
+from authguard_r.cli.replay_words import plain, plain_facts
 from authguard_r.core.action import Action, ActionMeta, scope_of
 from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
 from authguard_r.core.checks.approval import Situation
@@ -69,11 +70,6 @@ class Case:
         return next(g for g in self.mission.actions if g.id == "wanted")
 
 
-def plain(value: Any) -> Any:
-    """Return a struct as the plain JSON data that the specification speaks of."""
-    return msgspec.json.decode(msgspec.json.encode(value, order="deterministic"))
-
-
 def decide_case(case: Case) -> Decision:
     """Return the gate's decision."""
     mission = case.mission
@@ -114,44 +110,6 @@ def oracle_case(case: Case) -> dict[str, Any]:
         standing=None if case.standing is None else plain(case.standing),
         approvals=[plain(item) for item in case.approvals],
     )
-
-
-def plain_facts(facts: SiteFacts) -> dict[str, Any]:
-    """Return facts in the shape of the specification."""
-    return {
-        "digest": facts.digest,
-        "robot": {
-            "rid": facts.robot.rid,
-            "profile": facts.robot.profile,
-            "tools": {kind: sorted(tools) for kind, tools in facts.robot.tools.items()},
-        },
-        "regions": {
-            region: {
-                "map": known.area.map,
-                "floor": known.area.floor,
-                "points": [list(point) for point in known.area.points],
-                "tags": sorted(known.tags),
-                **({"around": sorted(known.around)} if known.around else {}),
-            }
-            for region, known in facts.regions.items()
-        },
-        "objects": dict(facts.objects),
-        "vocabulary": {
-            kind: {
-                "fields": sorted(model.fields),
-                "params": {name: plain(p) for name, p in model.params.items()},
-                "moves": model.moves,
-                "waits": model.waits,
-                "records": model.records,
-                "stores": model.stores,
-                "transmits": model.transmits,
-                "privacy": model.privacy,
-                "state_writing": model.state_writing,
-            }
-            for kind, model in facts.vocabulary.items()
-        },
-        **({"risk": [plain(policy) for policy in facts.risk]} if facts.risk else {}),
-    }
 
 
 # the base

@@ -17,8 +17,9 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.anchoring.anchor import Anchor, read_counter
+from authguard_r.anchoring.anchor import Anchor, Reading, read_counter
 from authguard_r.anchoring.counter import Counter
+from authguard_r.anchoring.notary import Notary, NotaryPolicy
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
@@ -87,9 +88,10 @@ class Gate(Struct, frozen=True, kw_only=True):
     trust: Trust
 
     def close(self) -> None:
-        """Count a last time how far the log has come, if it can be, and let go of the store."""
+        """Say a last time, outside, how far the log has come, and let go of the store."""
         with suppress(AuthGuardError):
-            self.anchor.count()
+            self.ledger.flush(everything=True)
+        self.anchor.end()
         self.ledger.close()
 
 
@@ -112,6 +114,7 @@ def assemble(
     risk: tuple[RiskPolicy, ...] = (),
     counter: Counter | None = None,
     signer: Signer | None = None,
+    notary: NotaryPolicy = NotaryPolicy(),  # noqa: B008 - frozen
 ) -> Gate:
     """Return the gate made of these parts.
 
@@ -132,7 +135,8 @@ def assemble(
         marks: what every record of the log says: that it is of a shadow run.
         risk: the organization's policies, to be held against the store (`hold_policy`).
         counter: kept outside of the store; without one, a store that was put back is not known.
-        signer: the gate's own key, for the counter; given together with one.
+        signer: the gate's own key, for counter and checkpoints; without one there are none.
+        notary: when checkpoints are made, and who witnesses them.
 
     Raises:
         AuthenticityError: the gate's certificate does not hold.
@@ -158,7 +162,8 @@ def assemble(
             since_ms=since_ms,
         )
         _require_same_log(ledger, trust, marks or {})
-        anchor = Anchor(ledger, robot=rid, counter=counter, signer=signer, reading=reading)
+        keeps = Notary(ledger, robot=rid, signer=signer, policy=notary)
+        anchor = _anchor(ledger, counter, signer=signer, reading=reading, keeps=keeps)
     except BaseException:
         store.close()  # it was handed over; a gate that is not made holds nothing
         raise
@@ -181,6 +186,19 @@ def assemble(
         watch=watch,
         trust=trust,
     )
+
+
+def _anchor(
+    ledger: Ledger,
+    counter: Counter | None,
+    *,
+    signer: Signer | None,
+    reading: Reading,
+    keeps: Notary,
+) -> Anchor:
+    """Return the store's anchor; the key signs its counter's notes where there is one."""
+    key, rid = None if counter is None else signer, ledger.robot
+    return Anchor(ledger, robot=rid, counter=counter, signer=key, reading=reading, notary=keeps)
 
 
 def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[bytes, ...]) -> Lists:
@@ -345,7 +363,7 @@ def simulate(
         },
         demo=True,
         counter=counter,
-        signer=None if counter is None else signer,
+        signer=signer,
     )
     binder = Binder(site, binding)
     return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
@@ -370,16 +388,25 @@ class _NoRobot:
         """Do nothing: nothing moves."""
 
 
-def offline_gate(folder: Path, site: Site, *, rid: RobotId, store: Path) -> Gate:
+def offline_gate(
+    folder: Path, site: Site, *, rid: RobotId, store: Path, counter: Counter | None = None
+) -> Gate:
     """Return a gate without a robot, for management acts on a store that nobody holds.
+
+    Args:
+        folder: written by `authguard keys init`.
+        site: the site.
+        rid: the robot.
+        store: the store's file.
+        counter: the store's own, kept outside of it.
 
     Raises:
         AuthGuardError: a part is missing, not authentic, or the store is in use.
     """
-    nothing = _NoRobot()
+    nothing, signer = _NoRobot(), folder_signer(folder, gate_name(rid))
     return assemble(
         trust=read_trust(folder),
-        chain=folder_signer(folder, gate_name(rid)).chain,
+        chain=signer.chain,
         site=site,
         safety=EnvelopeGate(default_config(site, rid)),
         controller=nothing,
@@ -388,6 +415,8 @@ def offline_gate(folder: Path, site: Site, *, rid: RobotId, store: Path) -> Gate
         store=open_store(store),
         genesis={"clock": SIMULATED},  # only a demo folder gets here, and its robot is symbolic
         demo=True,
+        counter=counter,
+        signer=signer,
     )
 
 
@@ -424,11 +453,8 @@ def folder_signer(folder: Path, name: str) -> FileSigner:
     """
     key = folder / "keys" / f"{name}.key.pem"
     if not key.is_file():
-        raise EnvironmentFault(
-            f"`{folder}` holds no key of `{name}`",
-            reason=Reason.STORE_UNAVAILABLE,
-            where=str(key),
-        )
+        text = f"`{folder}` holds no key of `{name}`"
+        raise EnvironmentFault(text, reason=Reason.STORE_UNAVAILABLE, where=str(key))
     return read_signer(key, folder / "keys" / f"{name}.cert.pem")
 
 

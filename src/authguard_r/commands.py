@@ -35,6 +35,8 @@ EVENTS: dict[Verb, Event] = {
     Verb.REVOKE: Event.REVOKE,
     Verb.COMPLETE: Event.COMPLETE,
 }
+#: What ends or settles: ordered of a mission, too, that nobody's signature stands behind any more.
+ENDING = frozenset({Verb.SUSPEND, Verb.REVOKE, Verb.COMPLETE, Verb.RESOLVE})
 #: What a safety officer may order too.
 NARROWING = frozenset({Verb.SUSPEND, Verb.REVOKE, Verb.WITHDRAW})
 

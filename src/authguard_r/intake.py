@@ -16,8 +16,8 @@ from msgspec import Struct
 from authguard_r.anchoring.anchor import Anchor
 from authguard_r.approvals import open_approval
 from authguard_r.audit.record import Entry
-from authguard_r.core.approval import Approval, VerifiedApproval
-from authguard_r.core.encoding import Tag, decode, encode_fast, unb64
+from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
+from authguard_r.core.encoding import Tag, encode_fast, unb64
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -26,7 +26,7 @@ from authguard_r.core.errors import (
     StoreError,
 )
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Digest, RobotId
+from authguard_r.core.identifiers import Digest, MissionId, RobotId
 from authguard_r.core.ports import StateSource
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -36,11 +36,14 @@ from authguard_r.core.token import VerifiedMission, open_token, read_token, veri
 from authguard_r.ledger import SKEW_MS, Act, Ledger, read_held
 from authguard_r.templates import (
     Delegations,
+    HeldMission,
     Instance,
     Instantiated,
     KeptTemplate,
     Pair,
     VerifiedTemplate,
+    claimed,
+    held_mission,
     instantiate,
     is_pair,
     open_template,
@@ -55,7 +58,15 @@ _MOST_ANSWERS = 16
 
 
 class Identities(Delegations, Protocol):
-    """A verifier that can also say whose estimator a certificate is."""
+    """A verifier that can also say whose estimator a certificate is, and whose key is whose."""
+
+    def bearer(self, chain: tuple[bytes, ...]) -> tuple[str, bytes]:
+        """Return whose name a chain's leaf has, and its public key; whether it holds, others say.
+
+        Raises:
+            AuthenticityError: it names nobody.
+        """
+        ...
 
     def attested_robot(self, chain: tuple[bytes, ...], now: Now) -> RobotId:
         """Return the one robot that the chain's leaf may speak of.
@@ -182,15 +193,39 @@ class Intake:
             AuthenticityError: a certificate does not hold any more.
         """
         known = self._verified.get(digest)
-        if known is not None:
-            return known
-        held = act.token(digest)
-        if held is None:
-            raise _corrupt("the mission's token is gone")
+        return self._verify_held(act, digest) if known is None else known
+
+    def _verify_held(self, act: Act, digest: Digest) -> VerifiedMission:
+        held = _token(act, digest)
         verified = self._verify_pair(held, act) if is_pair(held) else self.verify_mission(held, act)
         if verified.digest != digest:
             raise _corrupt(f"expected the token of `{digest}`, got `{verified.digest}`'s")
         return verified
+
+    def held(self, act: Act, digest: Digest) -> HeldMission:
+        """Return a mission version as it was verified once, to end, settle or show it by.
+
+        Its certificates may have ended since; that keeps nobody from ending what they began.
+        Nothing that widens goes by it.
+
+        Raises:
+            StoreError: its token is gone, or is of another mission.
+        """
+        return held_mission(_token(act, digest), digest)
+
+    def lost(self, act: Act, digest: Digest) -> Reason | None:
+        """Return why nobody's signature stands behind a mission now; None: somebody's does.
+
+        Asked anew, whatever was believed before.
+
+        Raises:
+            StoreError: its token is gone, or is of another mission.
+        """
+        try:
+            self._verify_held(act, digest)
+        except (AuthenticityError, RefusedError) as error:
+            return error.reason
+        return None
 
     def kept(self, digest: Digest) -> VerifiedMission | None:
         """Return a mission version that was verified before, to be shown; it gives no authority."""
@@ -275,7 +310,8 @@ class Intake:
         Raises:
             MalformedError: not an approval token.
             AuthenticityError: certificate or signature does not hold.
-            RefusedError: its signer has given this answer so often already (`BUSY`).
+            RefusedError: its signer has given this answer so often already (`BUSY`), or has signed
+                under another name (`ISSUER_MISMATCH`).
         """
         verified = open_approval(token, verifier=self._verifier, now=act.now)
         if not is_asked(act, verified.approval):
@@ -283,6 +319,8 @@ class Intake:
         key = f"{verified.approval.mid}:{verified.approval.counter}"
         held = act.get("approvals", key)
         tokens = () if held is None else read_held(held, tuple[str, ...], "approvals")
+        if verified.approval.verdict is Verdict.APPROVE:
+            self._require_one_name(token, (*_issuing(act, verified.approval.mid), *tokens))
         same = [
             kept.approval
             for kept, _ in self._authentic(act, tokens)
@@ -300,6 +338,28 @@ class Intake:
         text = token.decode("ascii").strip()
         act.put("approvals", key, encode_fast((*tokens, text)))
         return verified
+
+    def _require_one_name(self, token: bytes, others: tuple[str, ...]) -> None:
+        """Require that whoever approves has signed none of the others under another name.
+
+        People are counted by names; an authority that gave one key two names gave one person two
+        voices. A denial is taken from anybody.
+        """
+        mine = set(self._bearers(token.decode("ascii")))
+        keys = {key for _, key in mine}
+        for name, key in (bearer for other in others for bearer in self._bearers(other)):
+            if key in keys and (name, key) not in mine:
+                raise RefusedError(
+                    f"the key that approves is `{name}`'s, who has signed already",
+                    reason=Reason.ISSUER_MISMATCH,
+                    where="approval",
+                )
+
+    def _bearers(self, token: str) -> Iterator[tuple[str, bytes]]:
+        """Yield whose names and keys are behind a token that was verified."""
+        for endorsement in read_token(token.encode("ascii")).endorsements:
+            chain = tuple(unb64(der, where="token.endorsements") for der in endorsement.chain)
+            yield self._verifier.bearer(chain)
 
     def answers(self, act: Act, standing: Standing | None) -> Answered:
         """Return every kept answer to an open request that is still authentic now."""
@@ -378,14 +438,34 @@ def is_asked(act: Act, approval: Approval) -> bool:
     return any(request.counter == approval.counter for request in open_now)
 
 
+def _token(act: Act, digest: Digest) -> bytes:
+    """Return a mission version as it was taken in: a token, or a template's and its instance's."""
+    held = act.token(digest)
+    if held is None:
+        raise _corrupt("the mission's token is gone")
+    return held
+
+
+def _issuing(act: Act, mid: MissionId) -> tuple[str, ...]:
+    """Return every token that the authority of a mission's version in force comes from."""
+    standing = act.standing(mid)
+    return () if standing is None else _parts(_token(act, standing.digest))
+
+
+def _parts(held: bytes) -> tuple[str, ...]:
+    if not is_pair(held):
+        return (held.decode("ascii"),)
+    pair = read_held(held, Pair, "token")
+    return pair.template, pair.instance
+
+
 def claimed_template(token: bytes) -> Digest:
     """Return the digest of the template that an instance token names; nothing is verified.
 
     Raises:
         MalformedError: not an instance token.
     """
-    payload = unb64(read_token(token).payload, where="token.payload")
-    return decode(payload, Instance, where="instance").template
+    return claimed(token, Instance, tag=Tag.INSTANCE).template
 
 
 def _corrupt(message: str) -> StoreError:

@@ -20,6 +20,7 @@ from authguard_r.audit.record import Entry, append
 from authguard_r.core.encoding import decode, encode_fast
 from authguard_r.core.errors import ClockError, MalformedError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId, RobotId
+from authguard_r.core.lifecycle import TERMINAL
 from authguard_r.core.ports import Clock, Store, Turn
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -29,6 +30,8 @@ from authguard_r.refusals import Fold, Page, RefusalPolicy, Refusals
 T = TypeVar("T")
 #: Kind, key and value of something that the store holds.
 Held = tuple[str, str, bytes]
+#: An operator's stop that stands, until a signed order makes a mission active.
+STOP: Held = ("stop", "operator", b"1")
 #: How far the wall clock may be behind the last committed time, in milliseconds.
 SKEW_MS = 2_000
 
@@ -45,6 +48,10 @@ class High(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     utc_ms: int
     mono_ms: int
     snapshot: tuple[int, int]
+
+
+#: What a log's first record says of where its decisions are made.
+_PLACE = ("site", "profile")
 
 
 class Ledger:
@@ -88,6 +95,8 @@ class Ledger:
         self._high = Now(since_ms, 0)
         self._behind = False
         self.snapshot = (-1, -1)
+        #: How many missions have come to an end since the start.
+        self.endings = 0
         self._standings: dict[MissionId, tuple[int, Standing]] = {}
         self._decoded: dict[MissionId, tuple[bytes, Standing]] = {}
         self._turns = 0
@@ -229,15 +238,18 @@ class Ledger:
         self._refusals.take(entry(self.last_ms()), fold)
         return None
 
-    def flush(self) -> None:
+    def flush(self, *, everything: bool = False) -> None:
         """Write the refusals that wait and the counts that are over.
 
         To be called at least every `delay_ms` of the policy, by the one who chose it.
 
+        Args:
+            everything: the counts that go on, too: nothing comes after.
+
         Raises:
             StoreError: they were not written, and go on waiting.
         """
-        self._flush(everything=False)
+        self._flush(everything=everything)
 
     def close(self) -> None:
         """Write what waits, if it can be written, and let go of the store."""
@@ -270,6 +282,8 @@ class Ledger:
         for mid, standing in act.held.items():
             known = self._standings.get(mid)
             if known is None or known[0] < act.order:
+                over = known is not None and known[1].status in TERMINAL
+                self.endings += standing.status in TERMINAL and not over
                 self._standings[mid] = (act.order, standing)
         for entry, fold, seq in act.refused:
             if seq is None:
@@ -293,12 +307,30 @@ class Ledger:
             )
             append(turn, entry, salts=self._salts(16 * len(inputs)))
             turn.put("log", "robot", self.robot.encode("ascii"))
+            turn.put("log", "place", _place(genesis))
         elif turn.get("log", "robot") != self.robot.encode("ascii"):
             raise StoreError(
                 f"expected the store of `{self.robot}`",
                 where="store",
                 reason=Reason.ROBOT_MISMATCH,
             )
+        elif turn.get("log", "place") != _place(genesis):
+            self._move(turn, genesis, inputs)
+
+    def _move(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
+        """Record that the gate has another site or profile now: later decisions are made on it."""
+        place = {name: genesis[name] for name in _PLACE if name in genesis}
+        told = {"verb": "site", "robot": self.robot, **place, **self._open_marks}
+        entry = Entry(
+            kind="management", time_ms=self.last_ms(), decision="site", open=told, sealed=inputs
+        )
+        append(turn, entry, salts=self._salts(16 * len(inputs)))
+        turn.put("log", "place", _place(genesis))
+
+
+def _place(genesis: dict[str, object]) -> bytes:
+    """Return what a gate's decisions are made on, as its store holds it."""
+    return " ".join(str(genesis.get(name, "-")) for name in _PLACE).encode("ascii")
 
 
 def last_commit_ms(turn: Turn) -> int:
@@ -411,6 +443,11 @@ class Act:
         seq = self.record(entry) if self.changed or self._refusals.at_once(fold) else None
         self.refused.append((entry, fold, seq))
         return seq
+
+
+def stop_stands(turn: Turn | Act) -> bool:
+    """True while an operator's stop stands, whatever is active."""
+    return turn.get(STOP[0], STOP[1]) == STOP[2]
 
 
 def read_held(data: bytes, kind: type[T], what: str) -> T:

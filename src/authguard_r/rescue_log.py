@@ -7,8 +7,8 @@ in the commit that wrote it. Spec page: docs/spec/emergency.md#journal
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -22,7 +22,6 @@ from authguard_r.core.encoding import Tag, digest_of, encode_fast
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.finding import Findings
 from authguard_r.core.identifiers import Count, Digest, Identifier
-from authguard_r.core.ports import Turn
 from authguard_r.core.quantities import Now
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome
@@ -30,7 +29,7 @@ from authguard_r.core.state import AttestedState
 from authguard_r.emergency.journal import EmergencyJournal, Journaled
 from authguard_r.emergency.opened import OpenedPolicy
 from authguard_r.emergency.policy import HOUR_MS, MOST_PER_HOUR, Caller, Missing
-from authguard_r.ledger import Held, Ledger, read_held
+from authguard_r.ledger import Held, Ledger, read_held, stop_stands
 from authguard_r.report import NOT_EVALUATED
 from authguard_r.running import quietly
 
@@ -39,6 +38,8 @@ ACCEPT = "accept"
 #: What the log calls a refused call.
 EMERGENCY = "emergency"
 _KIND, _KEY = "emergency", "state"
+#: Emergencies that ended unknown that are shown.
+_SHOWN = 16
 
 
 class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -50,7 +51,6 @@ class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         open: releases whose end is not recorded.
         heard: the last record of the journal that the log has.
         lost: how many that did not fit the log has counted.
-        stopped: an operator's stop stands.
     """
 
     policy: str = ""
@@ -58,7 +58,6 @@ class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     open: dict[str, str] = {}
     heard: Count = 0
     lost: Count = 0
-    stopped: bool = False
 
 
 class Step(Struct, frozen=True, kw_only=True):
@@ -85,33 +84,42 @@ class RescueLog:
     Args:
         ledger: the log, and what is held beside it.
         journal: takes what the log cannot take now; None: nothing is done without the log.
+        settle: writes what an operator's stop has to change; True once that is on disk.
     """
 
-    def __init__(self, ledger: Ledger, journal: EmergencyJournal | None) -> None:
+    def __init__(
+        self, ledger: Ledger, journal: EmergencyJournal | None, *, settle: Callable[[], bool]
+    ) -> None:
         self._ledger = ledger
         self._journal = journal
+        self._settle = settle
+        self._stopped = ledger.peek(stop_stands)
         held = ledger.peek(lambda turn: turn.get(_KIND, _KEY))
         self._kept = Kept() if held is None else read_held(held, Kept, _KIND)
         self._before = frozenset(self._kept.open)  # of a gate that ended before they did
-        self._dirty = False
+        #: What ended unknown since this gate started, or was left open by the one before.
+        self.unknown: deque[str] = deque(maxlen=_SHOWN)
         if journal is not None:
             journal.after(self._kept.heard)
-            for record in journal.pending(self._kept.heard):
+            left = journal.pending(self._kept.heard)
+            for record in left:
                 self._kept = _after(self._kept, record)
                 self._before |= {record.ticket}
+            self.unknown += [r.capability for r in left if r.decision == Outcome.UNKNOWN]
             self._kept = replace(self._kept, lost=min(self._kept.lost, journal.lost))
+        # a power cut may set the clock of uses back: what seems still to come was just now
+        now_ms = ledger.mono_ms()
+        past = {c: tuple(min(at, now_ms) for at in used) for c, used in self._kept.uses.items()}
+        self._kept = replace(self._kept, uses=past)
 
     @property
     def stopped(self) -> bool:
-        """True while an operator's stop stands."""
-        return self._kept.stopped
-
-    def stop(self, *, stands: bool) -> None:
-        """Note that an operator stopped the robot, or that a person let it go on."""
-        if self._kept.stopped is not stands:
-            self._kept = replace(self._kept, stopped=stands)
-            self._dirty = True
-            self.flush()
+        """True while an operator's stop stands; as the store last said while it says nothing."""
+        settled = self._settle()
+        held = quietly(lambda: self._ledger.peek(stop_stands))
+        if held is not None:
+            self._stopped = held
+        return self._stopped or not settled
 
     def uses(self, capability: str) -> tuple[int, ...]:
         """Return when a capability was used."""
@@ -151,32 +159,27 @@ class RescueLog:
             StoreError: the log cannot be written, and nothing else will do.
             EnvironmentFault: nor can the journal.
         """
+        if step.decision == Outcome.UNKNOWN:
+            self.unknown.append(step.capability)
         known = self._journaled(step, 0 if self._journal is None else self._journal.next_n)
-        after = _after(self._kept, known)
         try:
             self._replay()  # what happened before comes first
-            self._note(lambda at: _entry(step, at), after)
+            self._note(lambda at: _entry(step, at), _after(self._kept, known))
         except StoreError:
             if not journal or self._journal is None:
                 raise
             self._journal.append(known, heard=self._kept.heard)
-            self._kept = after
+            self._kept = _after(self._kept, known)
 
     def flush(self) -> None:
         """Bring into the log what waits for it; what cannot be written goes on waiting."""
+        self._settle()
         quietly(self._replay)
-        if self._dirty:
-            with suppress(StoreError):
-                self._ledger.store.run(self._hold, essential=True)
-                self._dirty = False
 
     def close(self) -> None:
         """Let go of the journal."""
         if self._journal is not None:
             self._journal.close()
-
-    def _hold(self, turn: Turn) -> None:
-        turn.put(_KIND, _KEY, encode_fast(self._kept))
 
     def _replay(self) -> None:
         """Write what the journal has and the log has not, each record once.
@@ -193,15 +196,16 @@ class RescueLog:
                 self._note(_lost(lost), replace(self._kept, lost=journal.lost))
         for ticket in sorted(self._before & set(self._kept.open)):
             left = {t: c for t, c in self._kept.open.items() if t != ticket}
-            told = _left_open(ticket, self._kept.open[ticket])
+            capability = self._kept.open[ticket]
+            told = _left_open(ticket, capability)
             self._note(told, replace(self._kept, open=left))
+            self.unknown.append(capability)
         self._before = frozenset()
 
     def _note(self, entry: Callable[[int], Entry], after: Kept) -> None:
         held: Held = (_KIND, _KEY, encode_fast(after))
         self._ledger.note(entry, essential=True, held=held)
         self._kept = after
-        self._dirty = False
 
     def _journaled(self, step: Step, n: int) -> Journaled:
         """Return a step as the journal has it: codes and names, nothing that may be sensitive."""

@@ -14,7 +14,7 @@ from authguard_r.core.identifiers import Identifier
 from authguard_r.core.lifecycle import Event, Status
 from authguard_r.core.standing import advance, count_planner_stop
 from authguard_r.intake import Intake
-from authguard_r.ledger import Act, Ledger
+from authguard_r.ledger import STOP, Act, Ledger, stop_stands
 from authguard_r.report import alert_entry, stop_entry, suspension_entry
 from authguard_r.running import quietly
 
@@ -62,7 +62,8 @@ class Stopping:
         Args:
             by: who asked, named by the caller's channel.
             is_planner: counted against the planner's budget of stops.
-            suspends: an operator's stop: the mission goes on only after a signed `resume`.
+            suspends: an operator's stop: it stands, and the mission goes on only after a signed
+                `resume`.
             details: what else lies open in the record.
             why: the words of whoever stopped; sealed.
         """
@@ -71,7 +72,9 @@ class Stopping:
         if is_planner:
             counted = quietly(lambda: self._ledger.run(self._count_stop))
         if counted is not _Count.OVER:
-            quietly(lambda: self._ledger.note(entry, essential=not is_planner))
+            # that it stands needs no right clock, as its record does not
+            held = STOP if suspends else None
+            quietly(lambda: self._ledger.note(entry, essential=not is_planner, held=held))
         else:
             quietly(lambda: self._ledger.refuse(entry, fold=(by, _OVER, "stop")))
         self._owed = self._owed or suspends
@@ -90,7 +93,9 @@ class Stopping:
 
     @staticmethod
     def _suspend(act: Act) -> bool:
-        """Suspend the active mission, if one is; True in any case: it is done."""
+        """Let the stop stand and suspend the active mission, if one is; True: it is done."""
+        if not stop_stands(act):
+            act.put(*STOP)
         mid = act.active()
         standing = act.standing(mid) if mid is not None else None
         if standing is None:
@@ -109,7 +114,7 @@ class Stopping:
         standing = act.standing(mid) if mid is not None else None
         if standing is None:
             return _Count.WITHIN
-        most = self._intake.mission(act, standing.digest).mission.budgets.planner_stops
+        most = self._intake.held(act, standing.digest).mission.budgets.planner_stops
         if standing.planner_stops > most:
             return _Count.OVER
         counted = count_planner_stop(standing)

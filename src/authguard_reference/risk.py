@@ -90,7 +90,7 @@ def rho(policy: Json, action: Json, state: Json | None, facts: Json, now: Json) 
         now: The two clocks.
 
     Returns:
-        The sum of all parts.
+        The sum of all parts, at most the largest integer of the encoding.
     """
     total: int = policy.get("types", {}).get(action["type"], policy.get("otherwise", 0))
     total += region_risk(policy, action, facts)
@@ -103,7 +103,7 @@ def rho(policy: Json, action: Json, state: Json | None, facts: Json, now: Json) 
     for entry in policy.get("states", []):
         if guard_finding(entry["guard"], state, facts, now) != "GUARD_FALSE":
             total += entry.get("weight", 0)
-    return total
+    return min(total, 2**53 - 1)
 
 
 def tier_of(policy: Json, risk: int) -> int:

@@ -22,8 +22,8 @@ from authguard_r.cli.inputs import load_site, wall_now
 from authguard_r.core.encoding import Tag
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import sign_object
-from authguard_r.keys.authority import revoke
 from authguard_r.keys.certificate import Role
+from authguard_r.keys.revoking import revoke
 from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import profile_digest

@@ -7,6 +7,7 @@ import io
 import json
 import stat
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def run(desk: Desk) -> tuple[int, Any]:
 def certified(desk: Desk) -> None:
     scope = ("--every-robot", "--every-region")
     group = ("--group", "dealt/group.json", "--role", "supervisor")
-    desk.done("frost", "certify", "--trust", "trust", *group, *scope)
+    desk.done("frost", "certify", "--trust", "trust", *group, *scope, "--yes")
 
 
 def commitments(desk: Desk, *names: str) -> list[str]:
@@ -258,8 +259,10 @@ def test_a_certificate_of_somebody_else_or_of_other_members_is_refused(desk: Des
     group = json.loads(Path("dealt/group.json").read_bytes())
     Path("other.json").write_bytes(encode({**group, "id": "board-7", "members": ["x", "y", "z"]}))
     scope = ("--every-robot", "--every-region", "--role", "supervisor")
-    desk.done("frost", "certify", "--trust", "trust", "--group", "other.json", *scope)
-    said = desk.refused(*aggregate_words("ana", "cho", signers=signers, cert="board-7"), code=4)
+    init_folder(Path("elsewhere"), (), now=datetime.now(UTC))  # here the key is board-1's alone
+    desk.done("frost", "certify", "--trust", "elsewhere", "--group", "other.json", *scope, "--yes")
+    other = "../../elsewhere/keys/board-7"
+    said = desk.refused(*aggregate_words("ana", "cho", signers=signers, cert=other), code=4)
     assert "says the same of the group" in said
     Path("trust/keys/bad.cert.pem").write_text("no certificate", encoding="utf-8")
     said = desk.refused(*aggregate_words("ana", "cho", signers=signers, cert="bad"), code=4)
@@ -369,15 +372,44 @@ def test_a_group_that_cannot_be_is_refused(desk: Desk, words: list[str]) -> None
     assert not Path("x").exists()
 
 
-def test_a_group_is_certified_once_in_a_role_that_answers(desk: Desk) -> None:
+def test_a_group_takes_no_name_and_no_key_that_somebody_has(desk: Desk) -> None:
+    """Under two names one key would be two people; under one name two keys, nobody knows whose."""
+    dealt(desk)
+    desk.done("keys", "init", "auth", "--no-demo")
+    every = ("--every-robot", "--every-region")
+    member = ("--role", "operator", "--principal", "operator-1", *every, "--out", "op")
+    desk.done("keys", "request", *member)
+    desk.done("keys", "issue", "auth", "op/operator-1.request.json", "--yes")
+    words = ("--role", "supervisor", *every, "--yes")
+    group = json.loads(Path("dealt/group.json").read_bytes())
+    Path("taken.json").write_bytes(encode({**group, "id": "operator-1"}))
+    certify = ("frost", "certify", "--trust", "auth", "--group")
+    assert "here in another role" in desk.refused(*certify, "taken.json", *words, code=1)
+    desk.done(*certify, "dealt/group.json", *words)
+    Path("again.json").write_bytes(encode({**group, "id": "board-2"}))
+    assert "the key is `board-1`'s" in desk.refused(*certify, "again.json", *words, code=1)
+    desk.done("keys", "revoke", "auth", "board-1")
+    assert "the key is `board-1`'s" in desk.refused(*certify, "again.json", *words, code=1)
+    Path("auth/keys/board-1.cert.pem").rename("auth/issued/board-1.1.cert.pem")
+    said = desk.refused(*certify, "dealt/group.json", *words, code=4)
+    assert said.startswith("CERTIFICATE_REVOKED")
+    assert not list(Path("auth/keys").glob("*.cert.pem"))
+
+
+def test_a_group_is_certified_once_in_a_role_that_answers(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     dealt(desk)
     desk.done("keys", "init", "trust")
-    group = ("frost", "certify", "--trust", "trust", "--group", "dealt/group.json")
+    group = ("frost", "certify", "--trust", "trust", "--group", "dealt/group.json", "--yes")
     every = ("--every-robot", "--every-region")
     assert "expected a role" in desk.refused(*group, "--role", "operator", *every, code=4)
     assert "USAGE" in desk.refused(*group, "--role", "supervisor", code=2)
     both = ("--every-robot", "--robot", "courier-1", "--every-region")
     assert "USAGE" in desk.refused(*group, "--role", "supervisor", *both, code=2)
+    monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
+    assert call([*group[:-1], "--role", "supervisor", *every]) == 2  # nobody said yes
+    assert not Path("trust/keys/board-1.cert.pem").exists()
     desk.done(*group, "--role", "safety_officer", "--robot", "courier-1", "--region", "dock")
     assert "expected no file" in desk.refused(*group, "--role", "supervisor", *every, code=5)
     shown = desk.done("keys", "show", "trust")
@@ -439,3 +471,25 @@ def test_without_the_extra_the_commands_say_what_to_install(
 def test_a_store_needs_trust_and_site(desk: Desk) -> None:
     said = desk.refused("frost", "ballot", "1", "--store", "robot.db", "--out", "b.json", code=2)
     assert "a store needs --trust and --site" in said
+
+
+def test_a_sealed_share_is_looked_at_with_its_passphrase(desk: Desk) -> None:
+    dealt(desk)
+    Path("said").write_text("words that nobody else knows\n")
+    Path("said").chmod(0o600)
+    share, words = "dealt/ana.share.json", ("--passphrase-file", "said")
+    desk.done("frost", "protect", share, *words)
+    said = desk.refused("frost", "inspect", share, code=5)
+    assert ("sealed" in said, "--passphrase-file" in said) == (True, True)
+    assert desk.done("frost", "inspect", share, *words)["member"] == "ana"
+    Path("said").write_text("others than these\n")
+    assert "KEY_INVALID" in desk.refused("frost", "inspect", share, *words, code=4)
+
+
+def test_a_store_that_is_not_there_is_said_and_not_made(desk: Desk) -> None:
+    desk.done("keys", "init", "trust")
+    Path("approval.token").write_bytes(b"{}")
+    where = ("--store", "mistyped.db", "--trust", "trust", *SITE)
+    for words in (("ballot", "1", "--out", "b.json"), ("submit", "approval.token")):
+        assert "STORE_UNAVAILABLE: no store" in desk.refused("frost", *words, *where, code=5)
+        assert not Path("mistyped.db").exists()

@@ -201,6 +201,38 @@ def test_a_status_that_says_little_is_shown_as_far_as_it_goes() -> None:
     assert "up ?" in status_lines({})[0]
 
 
+def test_status_says_in_words_what_a_mission_is_worth_and_what_stands() -> None:
+    mission = {"mid": "first", "version": 1, "status": "active", "void": "CERTIFICATE_REVOKED"}
+    assert "  AUTHORIZES NOTHING: CERTIFICATE_REVOKED" in status_lines({"mission": mission})
+    plain = status_lines({"mission": {**mission, "void": None}, "stop_stands": False})
+    assert not any("AUTHORIZES" in line or "STANDS" in line for line in plain)
+    (stop,) = [line for line in status_lines({"stop_stands": True}) if "STANDS" in line]
+    assert "authguard resume" in stop
+    policy = {"policy": "courier", "version": 2, "expiry": "2027-01-01T00:00:00Z"}
+    quiet = status_lines({"emergency": {**policy, "under_way": None, "unknown": []}})
+    assert "emergency policy: courier version 2, until 2027-01-01T00:00:00Z" in quiet
+    assert not any("EMERGENCY" in line for line in quiet)
+    loud = status_lines({"emergency": {**policy, "under_way": "go", "unknown": ["drop", "go"]}})
+    assert "EMERGENCY UNDER WAY: go" in loud
+    assert "EMERGENCY ENDED UNKNOWN: drop, go; go and look" in loud
+
+
+def test_what_is_not_witnessed_is_said_with_who_cosigns() -> None:
+    said = {"quorum": 1, "confirmed": 0, "unwitnessed": 7, "witnessed_ms": 0}
+    witness = {**said, "witnesses": [{"name": "w", "state": "unreachable"}]}
+    lines = status_lines({"anchor": {"state": "uncounted", "witness": witness}})
+    assert "witnesses: 0 of 1 since the start (w unreachable)" in lines
+    assert "  not witnessed: 7 records (never yet)" in lines
+    later = {**witness, "witnessed_ms": worlds.START_MS}
+    (line,) = (
+        one
+        for one in status_lines({"anchor": {"state": "counted", "witness": later}})
+        if "not witnessed" in one
+    )
+    assert "last at 20" in line
+    assert not [one for one in status_lines({"anchor": {"state": "counted"}}) if "witness" in one]
+
+
 def test_the_gate_s_words_cannot_drive_the_terminal(shell: Shell) -> None:
     evil = {**STATUS, "robot": "evil\x1b[2J"}
     with listening(serving({Kind.STATUS: evil})) as path:
@@ -518,7 +550,8 @@ def test_the_log_of_a_gate_that_runs_is_told_by_it(shell: Shell, token: str, rol
         held = ("--checkpoint", "r.checkpoint", "--trust", "trust")
         assert "signed-terminal" in shell("audit", "verify", "r.db", *held)[1]
     assert told[0] == from_file[0]
-    assert told[1] == {**from_file[1], "told_by": 4711}
+    # the file holds a checkpoint that nobody's key was named for; a gate tells records alone
+    assert told[1] == {**from_file[1], "told_by": 4711, "not_verified": []}
     assert told[2] == from_file[2]
     assert "told by the gate that runs (process 4711)" in text
 

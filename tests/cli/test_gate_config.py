@@ -16,6 +16,7 @@ import worlds
 from authguard_r.cli import call
 from authguard_r.gate.config import open_gate_config
 from authguard_r.keys.trust import read_trust
+from witnesses import SmallWitness
 
 KEY = "trust/keys/{}.key.pem"
 CERT = "trust/keys/{}.cert.pem"
@@ -183,3 +184,28 @@ def test_a_token_of_another_kind_is_none(shell: Shell) -> None:
     data = Path("gate.token").read_bytes()
     Path("gate.token").write_bytes(data.replace(b'"signature":"', b'"signature":"AA', 1))
     assert shell("gate-config", "show", "gate.token", "--trust", "trust")[0] == 4
+
+
+def test_witnesses_are_written_shown_and_signed(shell: Shell) -> None:
+    key = SmallWitness("stranger", ()).named.text()
+    shell(*MAKE, *PEERS)
+    plain = Path("gate.yaml").read_text()
+    assert "checkpoint: 60000 ms" in plain
+    said = f"witnesses:\n  - url: https://witness.example\n    key: {key}\n"
+    changed = plain.replace("witnesses: []\n", said).replace("quorum: 0", "quorum: 1")
+    Path("gate.yaml").write_text(
+        changed.replace("witness_silence: 600000 ms", "witness_silence: 1 h")
+    )
+    code, out = shell(*signing())
+    assert code == 0
+    assert f"witness {key} at https://witness.example" in out
+    config = open_gate_config(
+        Path("gate.token").read_bytes(),
+        verifier=read_trust(Path("trust")),
+        now=worlds.NOW,
+        robot=worlds.RID,
+    )
+    assert (config.quorum, config.witness_ms, config.witnesses[0].key) == (1, 3_600_000, key)
+    Path("gate.yaml").write_text(changed.replace("quorum: 1", "quorum: 2"))
+    code, out = shell(*signing())
+    assert (code, "gate.yaml.quorum" in out) == (4, True)

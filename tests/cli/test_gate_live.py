@@ -195,6 +195,8 @@ def test_the_log_is_read_while_the_gate_holds_the_store(quick: Desk) -> None:
     code, found = quick.json("audit", "verify", quick.gate.store)
     assert (code, found["whole"], found["told_by"]) == (0, True, quick.gate.pid)
     assert found["anchored"] == "unanchored"
+    code, found = quick.json("audit", "verify", quick.gate.store, "--trust", quick.gate.trust)
+    assert (code, found["whole"], found["anchored"]) == (0, True, "checkpoint"), found
     code, asked = quick.json("audit", "prompts", quick.gate.store)
     assert (code, asked["missions"], asked["signatures"]) == (0, 1, 1)
     pid = quick.gate.pid

@@ -7,6 +7,7 @@ import io
 import json
 import shutil
 import stat
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import profile_digest
+from gates import AUTHGUARD
 
 EVERYWHERE = ("--every-robot", "--every-region")
 OPERATOR = ("--role", "operator", "--principal", "operator-1", *EVERYWHERE)
@@ -382,8 +384,8 @@ def test_a_folder_takes_no_older_list_and_no_strangers(machines: Machines) -> No
     assert machines("keys", "revoke", "auth", "operator-1")[0] == 0
     install = ("revocations", "install")
     assert machines(*install, "auth/revocations/people.json", "--trust", "op/trust")[0] == 0
-    for path in ("older/people.json", "auth/revocations/people.json"):
-        assert machines.refused(4, *install, path, "--trust", "op/trust") == "REVOCATION_STALE"
+    older = "older/people.json"
+    assert machines.refused(4, *install, older, "--trust", "op/trust") == "REVOCATION_STALE"
     assert machines("keys", "init", "foreign", "--no-demo")[0] == 0
     assert machines("keys", "lists", "foreign")[0] == 0
     assert machines("keys", "lists", "foreign")[0] == 0
@@ -411,3 +413,114 @@ def test_what_is_no_such_file_is_refused(machines: Machines, command: str, data:
         words = ("junk.json", "--key", "op/operator-1.key.pem", "--dir", "op/trust")
     code, told = machines.json("keys", command, *words)
     assert (code, "error" in told) == (4, True)
+
+
+# the authority's machine
+
+
+def test_four_who_revoke_at_once_all_revoke(machines: Machines) -> None:
+    names = [f"operator-{number}" for number in range(1, 5)]
+    for name in names:
+        words = ("--role", "operator", "--principal", name, *EVERYWHERE, "--out", name)
+        assert machines("keys", "request", *words)[0] == 0
+        assert machines("keys", "issue", "auth", f"{name}/{name}.request.json", "--yes")[0] == 0
+    running = [
+        subprocess.Popen([AUTHGUARD, "keys", "revoke", "auth", name], stdout=subprocess.DEVNULL)
+        for name in names
+    ]
+    assert [process.wait() for process in running] == [0, 0, 0, 0]
+    shown = machines.json("keys", "show", "auth")[1]
+    assert {item["why"] for item in shown["principals"]} == {"CERTIFICATE_REVOKED"}
+    assert {i["authority"]: i["number"] for i in shown["lists"]}["people"] == 5
+
+
+def test_the_issuers_key_gets_no_second_name(machines: Machines) -> None:
+    """With one it was two of two people at a gate."""
+    stem = machines.member("op", *OPERATOR)
+    words = ("--role", "supervisor", "--principal", "shadow", *EVERYWHERE)
+    assert machines("keys", "request", *words, "--key", f"{stem}.key.pem", "--out", "s")[0] == 0
+    request = "s/shadow.request.json"
+    assert machines.refused(1, "keys", "issue", "auth", request, "--yes") == "ISSUER_MISMATCH"
+    machines("keys", "revoke", "auth", "operator-1")
+    assert machines.refused(1, "keys", "issue", "auth", request, "--yes") == "ISSUER_MISMATCH"
+
+
+def test_a_request_is_no_way_back_after_a_revocation(machines: Machines) -> None:
+    machines.member("op", *OPERATOR)
+    assert machines("keys", "revoke", "auth", "operator-1")[0] == 0
+    again = ("keys", "issue", "auth", "op/operator-1.request.json", "--yes")
+    assert machines.refused(4, *again) == "CERTIFICATE_REVOKED"
+
+
+def test_a_set_up_lasts_as_long_as_was_said_and_nothing_in_it_longer(machines: Machines) -> None:
+    code, told = machines.json("keys", "init", "short", "--no-demo", "--days", "30")
+    assert code == 0
+    assert machines("keys", "request", *OPERATOR, "--out", "op")[0] == 0
+    request = ("short", "op/operator-1.request.json", "--yes", "--days", "3650")
+    assert machines("keys", "issue", *request)[0] == 0
+    (shown,) = machines.json("keys", "show", "short")[1]["principals"]
+    assert shown["until"] == told["until"]
+    for folder, days in (("auth", 3650), ("demo", 365)):
+        if folder == "demo":
+            assert machines("keys", "init", "demo")[0] == 0
+        root = read_trust(Path(folder)).root
+        assert (root.not_valid_after_utc - root.not_valid_before_utc).days == days
+    assert machines("keys", "init", "x", "--days", "1")[0] == 2
+
+
+def test_who_asks_for_more_than_he_has_is_seen(machines: Machines) -> None:
+    narrow = ("--role", "operator", "--principal", "operator-1", "--robot", "a", "--region", "dock")
+    stem = machines.member("op", *narrow)
+    wide = ("--key", f"{stem}.key.pem", "--out", "more")
+    assert machines("keys", "request", *OPERATOR, *wide)[0] == 0
+    words = ("keys", "issue", "auth", "more/operator-1.request.json")
+    assert machines.refused(1, *words, "--yes") == "SIGNER_OUT_OF_SCOPE"
+    code, told = machines(*words, stdin=b"n\n")
+    assert code != 0
+    assert "WIDER    robots: EVERY ONE (has a)" in told
+    assert len(list(Path("auth/issued").iterdir())) == 1
+    code, said = machines.json(*words, "--yes", "--wider")
+    assert (code, len(said["wider"])) == (0, 2)
+
+
+def test_a_sealed_authority_works_with_its_passphrase(machines: Machines) -> None:
+    Path("said").write_text("three words and a number 4\n", encoding="utf-8")
+    Path("said").chmod(0o600)
+    said = ("--passphrase-file", "said")
+    for name in ("people", "root", "site", "machines"):
+        assert machines("keys", "protect", f"auth/keys/{name}.key.pem", *said)[0] == 0
+    assert machines("keys", "request", *OPERATOR, "--out", "op")[0] == 0
+    for words in (
+        ("keys", "issue", "auth", "op/operator-1.request.json", "--yes"),
+        ("keys", "revoke", "auth", "operator-1"),
+        ("keys", "lists", "auth"),
+    ):
+        code, told = machines.json(*words)
+        assert (code, "--passphrase-file" in told["error"]["message"]) == (4, True)
+        assert machines(*words, *said)[0] == 0
+
+
+def test_a_bad_file_among_the_given_is_named_and_stops_nothing(machines: Machines) -> None:
+    machines.member("op", *OPERATOR)
+    Path("auth/issued/noise.cert.pem").write_bytes(b"noise")
+    code, told = machines.json("keys", "revoke", "auth", "operator-1")
+    assert (code, told["unread"]) == (1, ["auth/issued/noise.cert.pem"])
+    assert len(told["lists"][0]["serials"]) == 1
+    assert "CANNOT READ auth/issued/noise.cert.pem" in machines("keys", "show", "auth")[1]
+    words = ("keys", "revoke", "auth", "--serial", "77")
+    assert machines.refused(1, *words) == "CERTIFICATE_INVALID"
+    code, told = machines.json(*words, "--authority", "people")
+    assert (code, "77" in told["lists"][0]["serials"]) == (0, True)
+    assert machines("keys", "revoke", "auth", "operator-1", "--authority", "people")[0] == 2
+
+
+def test_a_machine_that_holds_no_authority_signs_no_list(machines: Machines) -> None:
+    machines.member("op", *OPERATOR)
+    assert machines.refused(5, "keys", "lists", "op/trust") == "STORE_UNAVAILABLE"
+
+
+def test_an_answer_that_cannot_be_written_was_not_given(machines: Machines) -> None:
+    assert machines("keys", "request", *OPERATOR, "--out", "op")[0] == 0
+    words = ("keys", "issue", "auth", "op/operator-1.request.json", "--yes", "--out")
+    assert machines.refused(5, *words, "nodir/x.json") == "STORE_UNAVAILABLE"
+    assert list(Path("auth/issued").iterdir()) == []

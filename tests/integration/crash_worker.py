@@ -95,6 +95,8 @@ def say(line: str) -> None:
 def live(folder: Path, token: bytes, order: Order, parent: int) -> None:
     """Run one gate as fast as it goes, until somebody kills it."""
     sim, dice = gate(folder, order), random.Random(order.seed)
+    if sim.gate.anchor.why is not None:  # its tree and newest checkpoint are the log's
+        say(f"fault {sim.gate.anchor.shown()}")
     begin = sim.robot.dispatch
 
     def told(action: Action, lease: Lease) -> Flight:
@@ -111,6 +113,8 @@ def live(folder: Path, token: bytes, order: Order, parent: int) -> None:
         if report.refusal is not None or not report.outcome_recorded:
             say(f"fault {report}")
         say(f"acked {report.seq} {'-' if report.outcome is None else report.outcome}")
+        if dice.random() < 0.2 and (found := sim.gate.anchor.covered(irreversible=True)):
+            say(f"fault {found}")
 
 
 def main(folder: Path, token: bytes) -> None:

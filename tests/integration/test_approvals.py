@@ -16,6 +16,7 @@ import pytest
 from cryptography import x509
 
 import asking
+import deliveries
 import worlds
 from authguard_r.approvals import answer
 from authguard_r.assembly import folder_signer
@@ -26,10 +27,12 @@ from authguard_r.core.encoding import Tag, b64, unb64
 from authguard_r.core.errors import AuthGuardError, RefusedError, StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import rho
+from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.intake import _MOST_ANSWERS
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import read_authority, write_revocations
+from authguard_r.keys.signer import open_key_file
 from authguard_r.normalize import normalize
 from missionpair.bench import Bench, Scene, calls, make_bench, world
 from missionpair.suite import at_dock, wide, with_grant
@@ -193,6 +196,35 @@ def test_the_issuer_never_counts_twice(bench: Bench, role: Role) -> None:
     again = asking.key_of(bench.folder, "operator-1", role)  # another key, the same person
     token = asking.signed(bench, asking.approval(scene), again)
     assert worthless(bench, scene, token) == "ISSUER_MISMATCH"
+
+
+def test_one_key_under_two_names_is_one_person(bench: Bench) -> None:
+    """The authority gave the issuer's key, and an approver's, a second name."""
+    scene = asking.scene(bench, "isolation-room", tau_2=31, t=3)
+    asking.outcome(scene)
+    asking.hand_in(bench, scene, "supervisor-1")
+    own = asking.approval(scene)
+    for holder in ("operator-1", "supervisor-1"):
+        (key,) = open_key_file(bench.folder / "keys" / f"{holder}.key.pem")
+        shadow = asking.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
+        token = asking.signed(bench, own, shadow)
+        assert refused(bench, scene, token) == "ISSUER_MISMATCH"
+    assert used_up(scene) == (0, 1)
+    asking.hand_in(bench, scene, "supervisor-2")
+    assert asking.outcome(scene) == []
+
+
+def test_a_second_name_denies_like_any_other(bench: Bench) -> None:
+    scene = asking.scene(bench, "isolation-room")
+    asking.outcome(scene)
+    asking.hand_in(bench, scene, "supervisor-1")
+    (key,) = open_key_file(bench.folder / "keys" / "operator-1.key.pem")
+    shadow = asking.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
+    no = asking.signed(bench, asking.approval(scene, verdict=Verdict.DENY), shadow)
+    item = scene.sim.gate.management.approve(no, why="no")
+    assert item.approver.id == "shadow"
+    assert asking.outcome(scene) == ["APPROVAL_DENIED"]
+    assert not moved(scene)
 
 
 def test_an_approval_binds_robot_and_mission_version(bench: Bench) -> None:
@@ -718,3 +750,28 @@ def test_an_answer_before_the_question_is_not_kept(bench: Bench) -> None:
     assert not moved(scene)
     held = scene.sim.gate.ledger.peek(lambda turn: turn.get("approvals", "deliver-p1:2"))
     assert held is None
+
+
+def test_who_fills_a_template_or_signed_it_has_no_second_name() -> None:
+    made = deliveries.edited((("risk_policy", "tau_1"), 1), (("risk_policy", "tau_2"), 1_000))
+    folder = deliveries.folder(made)
+    sim = deliveries.simulation(folder)
+    sim.gate.management.template(deliveries.signed(made))
+    filled = deliveries.instance(template=deliveries.digest(made))
+    sim.gate.management.activate(deliveries.token(filled, at=folder))
+    go = worlds.navigate("dock", "pharmacy", speed=800)
+    assert worlds.propose(sim, go).judged.decision.reasons == (Reason.APPROVAL_REQUIRED,)  # type: ignore[union-attr]
+    standing = sim.gate.ledger.standing(filled.mid)
+    assert standing is not None
+    ((grant, request),) = standing.requests.items()
+    verified = sim.gate.ledger.run(sim.gate.enforcer.intake.active_mission)
+    value = answer(verified, grant, request, rid=worlds.RID, verdict=Verdict.APPROVE)
+    for holder in ("scheduler-0", "operator-1"):
+        (key,) = open_key_file(folder / "keys" / f"{holder}.key.pem")
+        shadow = asking.key_of(folder, "shadow", Role.SUPERVISOR, key=key)
+        with pytest.raises(RefusedError) as error:
+            sim.gate.management.approve(sign_object(value, Tag.APPROVAL, shadow))
+        assert error.value.reason is Reason.ISSUER_MISMATCH
+    honest = folder_signer(folder, "supervisor-1")
+    sim.gate.management.approve(sign_object(value, Tag.APPROVAL, honest))
+    assert worlds.propose(sim, go).outcome is Outcome.SUCCEEDED

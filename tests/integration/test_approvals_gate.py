@@ -284,6 +284,28 @@ def test_a_denial_from_the_command_line_needs_a_reason(
     assert reasons(planner) == ["APPROVAL_DENIED"]
 
 
+def test_an_approval_behind_a_denial_is_told_that_it_moves_nothing(
+    gate: RunningGate, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planner = fresh(gate)
+    reasons(planner)
+    at = ("--gate", str(gate.socket))
+    no = ("approvals", "deny", 1, *at, *keys("supervisor-2"), "--yes", "--reason", WORDS)
+    code, told = authguard(capsys, *no)
+    assert (code, told.get("verdict")) == (0, "deny"), told
+    yes = ("approvals", "approve", "1", *at, *keys("supervisor-1"), "--yes")
+    code, told = authguard(capsys, *yes)
+    assert (code, told["counts"], told["denied"], told["why_not"]) == (1, False, True, "")
+    assert call(list(yes)) == 1
+    said = capsys.readouterr().out
+    assert "it is denied: the next proposal closes it" in said
+    assert "people are behind it" not in said
+    assert call(["approvals", "list", *at]) == 3
+    listed = capsys.readouterr().out
+    assert ("DENIED" in listed, "2 of 2 people" in listed) == (True, False)
+    assert reasons(planner) == ["APPROVAL_DENIED"]
+
+
 def test_approvals_in_words(gate: RunningGate, capsys: pytest.CaptureFixture[str]) -> None:
     planner = fresh(gate)
     reasons(planner)

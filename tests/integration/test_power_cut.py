@@ -21,6 +21,9 @@ from typing import Any
 import apsw
 
 import worlds
+from authguard_r.anchoring.checkpoints import Checkpoints
+from authguard_r.assembly import folder_signer
+from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.record import Entry
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
@@ -40,6 +43,7 @@ KEYS = 12
 VERIFIED = worlds.verified()
 GRANT = next(grant for grant in VERIFIED.mission.actions if grant.id == "look-out")
 MID = VERIFIED.mission.mid
+GATE = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
 _NAMES = itertools.count()
 
 
@@ -247,18 +251,29 @@ class Machine:
             salts=bytes,
             genesis={"site": "hospital"},
         )
+        self.checkpoints = Checkpoints(self.ledger, robot=worlds.RID, signer=GATE)
 
     def work(self, acknowledged: dict[int, bytes]) -> None:
         """Act until the power goes; note what was acknowledged while it was on."""
         acts: tuple[Callable[[Act], tuple[int, bytes]], ...] = (self.release, self.outcome)
         while not self._disk.is_dead:
             if self._dice.random() < 0.1:
+                seq, link = self.checkpoint()
+            elif self._dice.random() < 0.1:
                 seq = self.ledger.note(lambda at: _entry("stop", at, {}))
                 link = self.ledger.run(lambda act: act.head())[1]
             else:
                 seq, link = self.ledger.run(self._dice.choice(acts))
             if not self._disk.is_dead:
                 acknowledged[seq] = link
+
+    def checkpoint(self) -> tuple[int, bytes]:
+        """Make one, and return the last record that a witness would know of now."""
+        self.checkpoints.make()
+        assert self.checkpoints.newest is not None
+        said = read_checkpoint(self.checkpoints.newest.text, where="")
+        assert said.chain is not None
+        return said.size - 1, said.chain
 
     def release(self, act: Act) -> tuple[int, bytes]:
         """Use one start, open one release, and hold a value of some length."""
@@ -312,6 +327,7 @@ def look(disk: Disk, *, start_ms: int) -> tuple[Row, ...]:
         for kind, key, value in connection.execute("SELECT kind, key, value FROM held")
     }
     require_one_story(rows, held)
+    assert machine.checkpoints.fits()  # never ahead of the log, and never of another one
     machine.ledger.close()
     return rows
 

@@ -67,7 +67,7 @@ def certified(bench: Bench, name: str, members: tuple[str, ...], *more: str) -> 
     file.write_bytes(written(made.group))
     scope = more or ("--every-robot", "--every-region")
     options = ["--trust", str(bench.folder), "--group", str(file), "--role", "supervisor"]
-    assert call(["frost", "certify", *options, *scope]) == 0
+    assert call(["frost", "certify", *options, *scope, "--yes"]) == 0
     pem = (bench.folder / "keys" / f"{name}.cert.pem").read_bytes()
     chain = tuple(c.public_bytes(Encoding.DER) for c in x509.load_pem_x509_certificates(pem))
     return Group(made, chain)
@@ -240,7 +240,7 @@ def test_a_group_issues_no_mission_and_gives_no_order(bench: Any, tmp_path: Path
     file.write_bytes(written(made.group))
     options = ["--trust", str(bench.folder), "--group", str(file), "--role", "operator"]
     scope = ("--every-robot", "--every-region")
-    assert call(["frost", "certify", *options, *scope]) == 4
+    assert call(["frost", "certify", *options, *scope, "--yes"]) == 4
     assert not (bench.folder / "keys" / "board-9.cert.pem").exists()
 
 
@@ -264,7 +264,7 @@ def test_a_group_answers_at_a_gate_that_runs(
     done("frost", "deal", "--group", "board-1", "--threshold", 3, *members, "--out", tmp_path)
     group, cert = tmp_path / "group.json", trust / "keys" / "board-1.cert.pem"
     every = ("--role", "supervisor", "--every-robot", "--every-region")
-    done("frost", "certify", "--trust", trust, "--group", group, *every)
+    done("frost", "certify", "--trust", trust, "--group", group, *every, "--yes")
     row = {
         "source": "dock",
         "destination": "isolation-room",

@@ -30,6 +30,7 @@ from authguard_r.core.errors import (
     AuthGuardError,
     ClockError,
     EnvironmentFault,
+    RefusedError,
     StoreError,
 )
 from authguard_r.core.lifecycle import Status
@@ -308,6 +309,14 @@ def test_a_store_that_was_put_back_is_caught_and_refuses(robot: Robot) -> None:
     assert records(sim)[-1].kind in {"stop", "management"}
 
 
+def test_what_was_compared_is_shown_and_not_what_was_written_since(robot: Robot) -> None:
+    _, sim = rolled_back(robot)
+    shown, (alert,) = sim.gate.anchor.shown(), alerts(sim)
+    size = sim.gate.ledger.peek(lambda turn: turn.head())[0]
+    assert (shown["opened"], shown["counted"]) == (alert["size"], alert["counted"])
+    assert shown["opened"] < size  # the alert itself came after
+
+
 def test_a_refusing_gate_overwrites_nothing_of_what_it_was_caught_by(robot: Robot) -> None:
     worked(robot)
     before = robot.counter.read_bytes()
@@ -388,9 +397,9 @@ def test_a_counter_that_is_not_mounted_is_no_counter_that_is_new(robot: Robot) -
     assert sim.gate.anchor.why is Why.COUNTER_UNREADABLE
     away.rename(robot.counter.parent)
     # nobody signs away what he could still read
-    assert refused(lambda: sim.gate.management.accept_store(order(sim))) is (
-        Reason.TRANSITION_REFUSED
-    )
+    with pytest.raises(RefusedError, match="has to be readable first") as found:
+        sim.gate.management.accept_store(order(sim))
+    assert found.value.reason is Reason.TRANSITION_REFUSED
     sim.gate.close()
     assert robot.start().gate.anchor.why is None
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -42,6 +43,8 @@ HARDENING = {
     "IPAddressDeny": "any",
     "LimitCORE": "0",
 }
+#: A witness answers over TCP on its own machine; nothing else has a network.
+OVER_TCP = {"RestrictAddressFamilies": "AF_UNIX AF_INET AF_INET6"}
 ANALYZE = ("systemd-analyze", "security", "--offline=yes", "--threshold=15", "--no-pager")
 #: Becomes a process that can make no memory executable and gain no privilege, then runs a command.
 SHUT_IN = """
@@ -66,22 +69,25 @@ def settings(unit: Path) -> dict[str, list[str]]:
 
 
 def unit(name: str) -> dict[str, list[str]]:
-    return settings(DEPLOY / "systemd" / f"authguard-{name}@.service")
+    (path,) = (DEPLOY / "systemd").glob(f"authguard-{name}*.service")
+    return settings(path)
 
 
 def test_the_units_are_there() -> None:
-    assert [path.name.removesuffix("@.service") for path in UNITS] == [
-        "authguard-estimator",
-        "authguard-gate",
-        "authguard-robot",
-        "authguard-stop-lane",
+    assert [path.name for path in UNITS] == [
+        "authguard-estimator@.service",
+        "authguard-gate@.service",
+        "authguard-robot@.service",
+        "authguard-stop-lane@.service",
+        "authguard-witness.service",
     ]
 
 
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
 def test_every_process_is_shut_in_and_bounded(path: Path) -> None:
     found = settings(path)
-    assert {name: found.get(name) for name in HARDENING} == {n: [v] for n, v in HARDENING.items()}
+    expected = {**HARDENING, **(OVER_TCP if "witness" in path.name else {})}
+    assert {name: found.get(name) for name in expected} == {n: [v] for n, v in expected.items()}
     assert found["SystemCallFilter"][0] == "@system-service"
     assert found["SystemCallFilter"][1].startswith("~@privileged")
     for bound in ("MemoryMax", "TasksMax", "LimitNOFILE"):
@@ -106,6 +112,22 @@ def test_users_are_apart_and_the_planners_runs_nothing_of_ours() -> None:
         assert unit(name)["Group"] == ["authguard-body"]
         # the gate's folder is nobody else's to write
         assert "--run /run/authguard-body/%i" in unit(name)["ExecStart"][0]
+
+
+def test_a_witness_is_nobody_of_the_robots_and_answers_this_machine_alone() -> None:
+    found = unit("witness")
+    text = (DEPLOY / "sysusers.d" / "authguard-witness.conf").read_text(encoding="utf-8")
+    made = re.findall(r"^(\S+) (\S+)", text.replace("#", "\n#"), re.MULTILINE)
+    assert [name for kind, name in made if kind != "#"] == found["User"] == found["Group"]
+    assert "SupplementaryGroups" not in found
+    robots = (DEPLOY / "sysusers.d" / "authguard-r.conf").read_text(encoding="utf-8")
+    assert found["User"][0] not in robots
+    assert found["IPAddressAllow"] == ["localhost"]
+    assert "--behind-tls" not in found["ExecStart"][0]
+    assert found["StateDirectoryMode"] == ["0700"]
+    assert set(found["InaccessiblePaths"]) == {"-/etc/authguard-r", "-/var/lib/authguard-r"}
+    # what it does not start with, a restart does not mend
+    assert found["RestartPreventExitStatus"] == ["5"]
 
 
 def test_only_the_gate_and_its_lane_come_near_the_gates_key_and_only_the_gate_near_its_store() -> (
@@ -136,14 +158,16 @@ def test_every_unit_starts_a_command_that_there_is(path: Path) -> None:
 
     words = shlex.split(settings(path)["ExecStart"][0])
     assert words[0] == PROGRAM
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    assert words[1] in commands
-    known = {o: p for p in commands[words[1]].params for o in p.opts}
-    given = [word for word in words[2:] if word.startswith("--")]
+    command: Any = typer.main.get_command(app)
+    rest = words[1:]
+    while hasattr(command, "commands"):
+        command = command.commands[rest.pop(0)]
+    known = {o: p for p in command.params for o in p.opts}
+    given = [word for word in rest if word.startswith("--")]
     assert set(given) <= set(known)
     # nothing that it cannot start without is left out
     needed = {parameter.opts[0] for parameter in known.values() if parameter.required}
-    assert needed <= set(given)
+    assert {name for name in needed if name.startswith("--")} <= set(given)
     assert "--demo" not in given
 
 

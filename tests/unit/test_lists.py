@@ -27,7 +27,7 @@ from authguard_r.core.errors import (
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.keys.authority import next_lists, revoke
+from authguard_r.keys.revoking import next_lists, revoke
 from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import Trust, read_certificates, read_trust
 from authguard_r.ledger import Ledger
@@ -57,7 +57,7 @@ def house(folder: Path) -> Iterator[House]:
 
 def dead(folder: Path, name: str) -> bytes:
     """Return the authority's next list, with a principal on it."""
-    lists = revoke(folder / "auth", principal=name, serial=None, now=BEGIN, days=30)
+    lists = revoke(folder / "auth", principal=name, serial=None, now=BEGIN, days=30).lists
     ((_, found),) = lists.items()
     return found.signed
 
@@ -214,7 +214,6 @@ def test_an_approver_who_is_revoked_after_answering_does_not_count(tmp_path: Pat
 @pytest.mark.parametrize(
     ("data", "code"),
     [
-        ("same", "REVOCATION_STALE"),
         ("older", "REVOCATION_STALE"),
         ("ended", "REVOCATION_STALE"),
         ("foreign", "SIGNATURE_INVALID"),
@@ -234,7 +233,6 @@ def test_no_other_list_takes_the_place_of_the_one_in_force(
     shutil.copytree(folder / "trust/revocations", folder / "auth" / "revocations")
     fresh(folder)
     brought = {
-        "same": second,
         "older": first,
         "ended": fresh(folder, days=-1),
         "foreign": [
@@ -260,6 +258,17 @@ def test_no_other_list_takes_the_place_of_the_one_in_force(
     assert [known.number for known in held] == [2]
     assert code in refusals(house)
     assert len(house.log("revocation")) == 1
+
+
+def test_the_very_list_that_is_in_force_is_there_already_and_recorded_once(
+    house: House, folder: Path
+) -> None:
+    data = dead(folder, "supervisor-1")
+    first = bring(house, data)
+    before = len(house.log("management"))
+    assert bring(house, data) == first
+    assert refusals(house) == []
+    assert (len(house.log("revocation")), len(house.log("management"))) == (1, before)
 
 
 def test_a_list_that_could_not_be_written_is_not_in_force(

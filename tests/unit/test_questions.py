@@ -279,8 +279,9 @@ def test_the_card_says_everything_that_counts(bench: Bench) -> None:
     ):
         assert part in text, part
     listed = "\n".join(brief(found, shown(found)))
-    for part in ("3 of 3 people", "DENIES", "may answer: safety_officer, supervisor"):
+    for part in ("DENIED: the next proposal", "DENIES", "may answer: safety_officer, supervisor"):
         assert part in listed
+    assert "3 of 3 people" not in listed  # a denial outweighs however many are behind it
 
 
 def test_the_card_names_what_influenced_the_planner(bench: Bench) -> None:

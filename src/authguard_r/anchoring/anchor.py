@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Holds a store to its outside counter: compared at the start, counted before what has no undo.
+"""Holds a store to what is outside of it: compared at the start, told before what has no undo.
 
-A store that is ahead of its counter is one whose gate died in between, and is fine. One that is
-behind, or beside it, was put there by somebody: then nothing is decided and nothing ordered until
-a person accepts, signed, that this is the store to go on with.
-Spec page: docs/spec/rollback.md
+Outside are a counter and witnesses; the doubt of one is enough. A store that is ahead of them is
+one whose gate died in between, and is fine. One that is behind, or beside them, was put there by
+somebody: then nothing is decided and nothing ordered until a person accepts, signed, that this is
+the store to go on with. Spec page: docs/spec/rollback.md
 """
 
 from __future__ import annotations
 
 import threading
 from contextlib import suppress
-from enum import StrEnum
 
 from msgspec import Struct
 
 from authguard_r.anchoring.counter import Counted, Counter, open_note, seal
+from authguard_r.anchoring.notary import Notary
+from authguard_r.anchoring.outside import BY_COUNTER, SAID, Doubt, Why
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import (
@@ -39,31 +40,8 @@ from authguard_r.report import fault_finding
 KIND, KNOWN = "counter", "known"
 #: What the alert and its record say.
 WHAT = "the store was put back"
-
-
-class Why(StrEnum):
-    """What does not fit between a store and its counter."""
-
-    BEHIND = "behind"
-    REPLACED = "replaced"
-    FORKED = "forked"
-    COUNTER_MISSING = "counter_missing"
-    COUNTER_BEHIND = "counter_behind"
-    COUNTER_FOREIGN = "counter_foreign"
-    COUNTER_UNREADABLE = "counter_unreadable"
-    COUNTER_NOT_NAMED = "counter_not_named"
-
-
-_SAID = {
-    Why.BEHIND: "the log has fewer records than were counted: an older copy was put back",
-    Why.REPLACED: "another store was counted: this one is new, or not this robot's last",
-    Why.FORKED: "the log is not the one that was counted: a copy of it went on elsewhere",
-    Why.COUNTER_MISSING: "the store was counted, and the counter is gone",
-    Why.COUNTER_BEHIND: "the counter is older than the store knows: it was put back",
-    Why.COUNTER_FOREIGN: "the counter is damaged, or not written by this robot's gate",
-    Why.COUNTER_UNREADABLE: "the counter cannot be read",
-    Why.COUNTER_NOT_NAMED: "the store was counted, and no counter was named",
-}
+#: What the alert of witnesses that confirm nothing says.
+SILENT = "the witnesses are silent"
 
 
 class Reading(Struct, frozen=True):
@@ -96,6 +74,22 @@ def read_counter(counter: Counter | None, *, verifier: Verifier) -> Reading:
         return Reading(why=Why.COUNTER_FOREIGN)
 
 
+class Told(Struct, frozen=True):
+    """Something that people are to be told.
+
+    Args:
+        what: the alert.
+        details: its details.
+        recorded: the log has it already.
+        over: it is over, and no alert.
+    """
+
+    what: str
+    details: dict[str, object]
+    recorded: bool = False
+    over: bool = False
+
+
 class _Place(Struct, frozen=True):
     """Where a log ends."""
 
@@ -104,7 +98,7 @@ class _Place(Struct, frozen=True):
 
 
 class Anchor:
-    """One store and its counter.
+    """One store and what is outside of it.
 
     Args:
         ledger: the store.
@@ -112,6 +106,7 @@ class Anchor:
         counter: outside of the store; None where there is none, and then nothing is compared.
         signer: the gate's own key; needed with a counter.
         reading: what the counter held before the store was touched.
+        notary: makes the log's checkpoints and has them witnessed; None makes none.
     """
 
     def __init__(
@@ -122,6 +117,7 @@ class Anchor:
         counter: Counter | None = None,
         signer: Signer | None = None,
         reading: Reading = Reading(),  # noqa: B008 - frozen
+        notary: Notary | None = None,
     ) -> None:
         if (counter is None) is not (signer is None):
             raise TypeError("a counter needs the gate's own signer, and nothing else does")
@@ -133,7 +129,17 @@ class Anchor:
         self._store, self._known, self._place = ledger.peek(self._look)
         self._opened = self._place.size
         self._number = max(self.number, self._known or 0)
-        self.why = ledger.peek(lambda turn: self._compare(turn, reading))
+        self._notary = notary
+        why = ledger.peek(lambda turn: self._compare(turn, reading))
+        size = None if self._counted is None else self._counted.size
+        self._doubt = None if why is None else Doubt(why, BY_COUNTER, size)
+        if self._doubt is None and notary is not None:
+            self._doubt = notary.compare()
+
+    @property
+    def why(self) -> Why | None:
+        """Why nothing goes on with this store; None when it does."""
+        return None if self._doubt is None else self._doubt.why
 
     @property
     def number(self) -> int:
@@ -141,17 +147,53 @@ class Anchor:
         return 0 if self._counted is None else self._counted.number
 
     def begin(self) -> None:
-        """Count the start, or record that the store was put back and suspend what is active.
+        """Show the log to its witnesses and count the start, or record that it was put back.
 
-        A counter that cannot be written is told of when it is needed: only what cannot be undone
+        A place that cannot be reached is told of when it is needed: only what cannot be undone
         waits for it.
         """
-        if self.why is not None:
-            self._record(self.why)
+        if self._doubt is None and self._notary is not None:
+            with suppress(AuthGuardError):
+                self._doubt = self._notary.begin()
+        if self._doubt is not None:
+            self._record(self._doubt)
         elif self._outside is not None:
             with suppress(EnvironmentFault):
                 self.count()
                 self._know()
+
+    def tick(self) -> tuple[Told, ...]:
+        """Make a checkpoint if one is due and take in what witnesses say; what is to be told.
+
+        For the one thread that holds the store, between its turns.
+        """
+        if self._notary is None or self._doubt is not None:
+            return ()
+        try:
+            self._doubt = self._notary.tick()
+            if self._doubt is not None:
+                self._record(self._doubt)
+                return self.put_back()
+            began = self._notary.silence()
+        except AuthGuardError:
+            return ()  # the store cannot be written: nothing is released, and somebody is told
+        if began is None:
+            return ()
+        return (Told(SILENT, {"records": self._notary.unwitnessed}, over=not began),)
+
+    def end(self) -> None:
+        """Make a last checkpoint, show it to the witnesses, and count, if that can be done."""
+        if self._doubt is None and self._notary is not None:
+            self._notary.end()
+        with suppress(AuthGuardError):
+            self.count()
+
+    def put_back(self) -> tuple[Told, ...]:
+        """Return what people are told while nothing goes on with this store; else nothing."""
+        if self._doubt is None:
+            return ()
+        details: dict[str, object] = {"why": str(self._doubt.why), "by": self._doubt.by}
+        return (Told(WHAT, details, recorded=True),)
 
     def require(self) -> None:
         """Refuse while nobody has accepted this store.
@@ -159,8 +201,8 @@ class Anchor:
         Raises:
             RefusedError: it was put back (`ROLLED_BACK`).
         """
-        if self.why is not None:
-            raise RefusedError(_SAID[self.why], reason=Reason.ROLLED_BACK, where="store")
+        if self._doubt is not None:
+            raise RefusedError(SAID[self._doubt.why], reason=Reason.ROLLED_BACK, where="store")
 
     def count(self) -> None:
         """Write how far the log has come; it is kept when this returns. Not inside a turn.
@@ -179,21 +221,30 @@ class Anchor:
             self._write(*self._outside)
 
     def ready(self, *, irreversible: bool) -> None:
-        """Make sure, before it is committed, that what cannot be undone could be counted.
+        """Make sure, before it is committed, that what cannot be undone could be told of.
 
         In the writer's turn: nothing of the turn is written, for it is not on disk yet.
 
         Raises:
-            EnvironmentFault: the counter cannot be written, and nothing was consumed.
+            EnvironmentFault: too few witnesses have confirmed this store since the start, or the
+                counter cannot be written; nothing was consumed.
         """
+        if irreversible and self._notary is not None:
+            self._notary.require()
         if irreversible and self._outside is not None:
             with self._lock:
                 self._write(*self._outside)
 
     def covered(self, *, irreversible: bool) -> Findings:
-        """Count what was just committed, when it cannot be undone; return why that failed."""
+        """Put what was just committed into a checkpoint and count it, when it cannot be undone.
+
+        Returns:
+            Why that failed.
+        """
         try:
             if irreversible:
+                if self._notary is not None:
+                    self._notary.make()
                 self.count()
         except AuthGuardError as error:
             return (fault_finding(error),)
@@ -205,12 +256,14 @@ class Anchor:
         Raises:
             EnvironmentFault: the counter cannot be written; nothing goes on.
         """
-        why, self.why = self.why, None
+        doubt, self._doubt = self._doubt, None
         try:
+            if doubt is not None and self._notary is not None:
+                self._notary.accepted(doubt.why)
             self.count()
             self._know()
         except BaseException:
-            self.why = why
+            self._doubt = doubt
             raise
 
     def fits(self, *, store: Digest, size: int, number: int) -> bool:
@@ -219,24 +272,24 @@ class Anchor:
 
     def shown(self) -> dict[str, object]:
         """Return what `status` says: what an operator has to sign, where he has to."""
-        state = "uncounted" if self._outside is None else "counted"
+        state, doubt = "uncounted" if self._outside is None else "counted", self._doubt
         told: dict[str, object] = {
-            "state": state if self.why is None else "put_back",
+            "state": state if doubt is None else "put_back",
             "store": self._store,
-            "number": self.number if self.why is not None else self._number,
+            "number": self._number if doubt is None else self.number,
+            **({} if self._notary is None else self._notary.shown()),
         }
-        if self.why is None:
+        if doubt is None:
             return told
-        counted = None if self._counted is None else self._counted.size
-        return {**told, "why": str(self.why), "message": _SAID[self.why], "counted": counted}
+        said = {"why": str(doubt.why), "message": SAID[doubt.why]}
+        return {**told, **said, "by": doubt.by, "counted": doubt.size, "opened": self._opened}
 
     def _look(self, turn: Turn) -> tuple[Digest, int | None, _Place]:
         """Return which store this is, the counter that it knows of, and where its log ends."""
         first = turn.rows(0, 1)
         if not first:  # pragma: no cover - a ledger that was opened has its first record
             raise StoreError("the log has no first record", reason=Reason.STORE_CORRUPT)
-        known = turn.get(KIND, KNOWN)
-        number = _number(known) if known else None
+        number = known_number(turn.get(KIND, KNOWN))
         return Digest(b64(first[0][3])), number, _Place(*turn.head())
 
     def _compare(self, turn: Turn, reading: Reading) -> Why | None:
@@ -276,10 +329,11 @@ class Anchor:
         known = b"" if self._outside is None else str(self._number).encode("ascii")
         self._ledger.store.run(lambda turn: turn.put(KIND, KNOWN, known), essential=True)
 
-    def _record(self, why: Why) -> None:
-        counted = self._counted
-        told = {"what": WHAT, "why": str(why), "size": self._opened}
-        told |= {} if counted is None else {"counted": counted.size, "number": counted.number}
+    def _record(self, doubt: Doubt) -> None:
+        told: dict[str, object] = {"what": WHAT, "why": str(doubt.why), "by": doubt.by}
+        told |= {"size": self._opened}
+        told |= {} if doubt.size is None else {"counted": doubt.size}
+        told |= {} if self._counted is None else {"number": self._counted.number}
 
         def entry(at: int, mid: str = NONE) -> Entry:
             return Entry(kind="alert", time_ms=at, decision="alert", mid=mid, open=told)
@@ -299,8 +353,17 @@ class Anchor:
                 self._ledger.note(entry, essential=True)
 
 
-def _number(known: bytes) -> int:
-    """Return the number that a store holds; what is none is a damaged store."""
+def known_number(known: bytes | None) -> int | None:
+    """Return the number of the counter that a store knows of; None when it knows of none.
+
+    Raises:
+        StoreError: what it holds is no number: the store is damaged.
+    """
+    if not known:
+        return None
     if not known.isdigit():
         raise StoreError("expected a number", where="store.counter", reason=Reason.STORE_CORRUPT)
     return int(known)
+
+
+__all__ = ["SILENT", "WHAT", "Anchor", "Reading", "Told", "Why", "read_counter"]

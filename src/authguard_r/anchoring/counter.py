@@ -116,6 +116,11 @@ class FileCounter:
         self.path = path
         self._beside = path.with_name(f"{path.name}.new")
 
+    @property
+    def files(self) -> tuple[Path, Path]:
+        """Everything that is written: the note, and the next one until it takes its place."""
+        return self.path, self._beside
+
     def read(self) -> bytes | None:
         """Return the note (`Counter`)."""
         if not self.path.parent.is_dir():

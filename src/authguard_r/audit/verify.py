@@ -1,25 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is this log whole, and says who? Reads rows, trusts nothing in them.
+"""Is this log whole, and says who? Reads rows once, in order, and trusts nothing in them.
 
-A chain by itself shows that nothing inside was changed; only a terminal digest that was signed
-and kept elsewhere shows that nothing is missing at the end. The answer always says which of the
-two was looked at. Source: theorem "Tamper evidence of the anchored log".
+A chain by itself shows that nothing inside was changed; only a digest that was signed and kept
+elsewhere shows that nothing is missing at the end, and that it is the log that was written. The
+answer always says which of the two was looked at. Memory is that of one row and of log n hashes.
+
+Source: theorem "Tamper evidence of the anchored log".
 Spec page: docs/spec/audit-record.md#verification
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from hashlib import sha256
+from typing import Any, Literal
 
+import msgspec
 from msgspec import Struct
 
-from authguard_r.audit.record import Terminal, commit, evidence, read_record, read_sealed
-from authguard_r.core.chain import GENESIS, link
-from authguard_r.core.encoding import b64
+from authguard_r.audit.checkpoint import Checkpoint
+from authguard_r.audit.record import Sealed, Terminal
+from authguard_r.audit.tree import Frontier, leaf_hash
+from authguard_r.core.chain import GENESIS
+from authguard_r.core.encoding import MAX_BYTES, Tag, b64, decode, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import Count, Digest, is_identifier
+
+#: Who says that the log is the one that was written.
+By = Literal["signed-terminal", "checkpoint", "witnessed"]
+_SEALED = msgspec.json.Decoder(dict[str, Sealed])
+_LINES = msgspec.json.Encoder(order="sorted")
+_AUDIT, _EVIDENCE = Tag.AUDIT.prefix, Tag.EVIDENCE.prefix
+#: Around a record's link.
+_LINK, _OPEN = b',"link":{', b'},"open":'
+#: Sets of names that are remembered.
+_MOST_NAMED = 256
+#: Links whose leaves go into the tree together.
+_AT_ONCE = 256
+#: Words that need not be looked at letter by letter each time.
+_USUAL = frozenset(
+    (
+        *("genesis", "decision", "outcome", "management", "refusal", "stop", "alert", "intake"),
+        *("stream", "revocation", "emergency", "accept", "reject", "request_approval"),
+        *("succeeded", "failed", "not_started", "aborted", "unknown", "counted"),
+    )
+)
 
 
-class Row(Struct, frozen=True):
+class Row(Struct, frozen=True, gc=False):
     """One stored row: number, record, the values beside it, and its link."""
 
     seq: int
@@ -28,17 +56,34 @@ class Row(Struct, frozen=True):
     link: bytes
 
 
+class Anchor(Struct, frozen=True, kw_only=True):
+    """What is known of a log from outside of it, its signatures verified.
+
+    Args:
+        by: what vouches for it.
+        size: number of records that it speaks of.
+        head: L_{size-1}; None when it does not say.
+        root: of the tree over those links; None when it does not say.
+    """
+
+    by: By
+    size: int
+    head: bytes | None = None
+    root: bytes | None = None
+
+
 class Verification(Struct, frozen=True, kw_only=True):
     """What was found.
 
     Args:
         whole: every record follows from the one before and matches its own digests.
-        size: records read.
-        head: the last link, base64url.
-        anchored: `unanchored`, or `signed-terminal` when an authentic terminal digest fits.
-        anchored_size: how many records that digest covers.
+        size: records that do.
+        head: the last of their links, base64url.
+        anchored: `unanchored`, or what vouches for the longest part: see `Anchor.by`.
+        anchored_size: how many records that is.
+        anchors: everything that was held against the log and fits, the longest last.
         fault: the first thing that is wrong, empty when nothing is.
-        where: the record that it is wrong at.
+        where: the record, or the records, that it is wrong at.
     """
 
     whole: bool
@@ -46,62 +91,249 @@ class Verification(Struct, frozen=True, kw_only=True):
     head: str
     anchored: str = "unanchored"
     anchored_size: int = 0
+    anchors: tuple[tuple[str, int], ...] = ()
     fault: str = ""
     where: str = ""
 
 
-def verify_rows(rows: Iterable[Row], *, terminal: Terminal | None) -> Verification:
-    """Return whether the chain holds, and whether it fits the terminal digest.
+def of_checkpoint(checkpoint: Checkpoint, *, witnessed: bool = False) -> Anchor:
+    """Return what an authentic checkpoint says of a log."""
+    return Anchor(
+        by="witnessed" if witnessed else "checkpoint",
+        size=checkpoint.size,
+        head=checkpoint.chain,
+        root=checkpoint.root,
+    )
+
+
+def of_terminal(terminal: Terminal) -> Anchor:
+    """Return what an authentic terminal digest says of a log."""
+    head = unb64(terminal.head, where="terminal.head")
+    return Anchor(by="signed-terminal", size=terminal.size, head=head)
+
+
+def verify_rows(
+    rows: Iterable[Row], *, terminal: Terminal | None = None, anchors: Sequence[Anchor] = ()
+) -> Verification:
+    """Return whether the chain holds, and whether it fits what is known from outside.
 
     Args:
         rows: the log, in order, from a store that nobody trusts.
         terminal: an authentic signed terminal digest, None when there is none.
+        anchors: what authentic checkpoints say of it; of two that say as much the later one is
+            told of.
     """
-    prev, size, anchored = GENESIS, 0, 0
-    for row in rows:
-        fault = _fault(row, size, prev)
+    known = [*anchors, *(() if terminal is None else (of_terminal(terminal),))]
+    against = _Against(sorted(known, key=lambda anchor: (anchor.size, anchor.by == "witnessed")))
+    chain = _Chain()
+    fault = against.fault(GENESIS, 0)
+    for row in () if fault else rows:
+        fault = chain.fault(row)
         if fault:
-            return Verification(
-                whole=False, size=size, head=b64(prev), fault=fault, where=f"record {size}"
-            )
-        prev, size = row.link, size + 1
-        if terminal is not None and terminal.size == size:
-            if terminal.head != b64(prev):
-                return _broken(size, prev, f"expected the signed head {terminal.head}")
-            anchored = size
-    if terminal is not None and anchored == 0:
-        return _broken(size, prev, f"expected at least the {terminal.size} signed records")
+            return _broken(chain, fault, f"record {chain.size}")
+        if against.next is not None:
+            fault = against.grown(row.link, chain.size)
+            if fault:
+                break
+    if fault:
+        return _broken(chain, fault, against.since(chain.size))
+    if against.next is not None:
+        fault = f"expected at least the {against.next.size} signed records: the log is cut off"
+        return _broken(chain, fault, f"record {chain.size}")
     return Verification(
         whole=True,
-        size=size,
-        head=b64(prev),
-        anchored="signed-terminal" if anchored else "unanchored",
-        anchored_size=anchored,
+        size=chain.size,
+        head=chain.head,
+        anchored=against.fitting[-1][0] if against.fitting else "unanchored",
+        anchored_size=against.fitting[-1][1] if against.fitting else 0,
+        anchors=tuple(against.fitting),
     )
 
 
-def _broken(size: int, prev: bytes, fault: str) -> Verification:
-    return Verification(
-        whole=False, size=size, head=b64(prev), fault=fault, where=f"record {max(size - 1, 0)}"
-    )
+class _Against:
+    """Holds the links that go by against what is known of the log, each at its size.
+
+    Args:
+        anchors: the shortest first.
+    """
+
+    def __init__(self, anchors: list[Anchor]) -> None:
+        self._left = anchors[::-1]
+        self._frontier = Frontier()
+        self._links: list[bytes] = []
+        self._needs_tree = any(anchor.root is not None for anchor in anchors)
+        self.fitting: list[tuple[str, int]] = []
+
+    @property
+    def next(self) -> Anchor | None:
+        """The shortest that was not come to yet."""
+        return self._left[-1] if self._left else None
+
+    def grown(self, head: bytes, size: int) -> str:
+        """Take in the next link; return what does not fit it, empty when nothing does."""
+        if self._needs_tree:
+            self._links.append(head)
+            if len(self._links) >= _AT_ONCE:
+                self._grow()
+        return self.fault(head, size) if self._left[-1].size == size else ""
+
+    def fault(self, head: bytes, size: int) -> str:
+        """Return what does not fit at this size; what fits is kept as fitting."""
+        while self._left and self._left[-1].size == size:
+            anchor = self._left.pop()
+            if anchor.head is not None and anchor.head != head:
+                return f"expected the signed head {b64(anchor.head)}: changed and chained anew"
+            if anchor.root is not None and anchor.root != self._root():
+                return f"expected the signed root {b64(anchor.root)}: changed and chained anew"
+            self.fitting.append((anchor.by, size))
+        return ""
+
+    def since(self, size: int) -> str:
+        """Return where a log that does not fit at this size can begin to be another."""
+        first, last = self.fitting[-1][1] if self.fitting else 0, max(size - 1, 0)
+        return f"record {last}" if first >= last else f"records {first} to {last}"
+
+    def _root(self) -> bytes:
+        self._grow()
+        return self._frontier.root()
+
+    def _grow(self) -> None:
+        self._frontier = self._frontier.grown(map(leaf_hash, self._links))
+        self._links = []
 
 
-def _fault(row: Row, seq: int, prev: bytes) -> str:
-    """Return what is wrong with one row, empty when nothing is."""
-    try:
-        record = read_record(row.record, where=f"record {seq}")
-        sealed = read_sealed(row.sealed, where=f"record {seq}")
-    except MalformedError as error:
-        return f"not a record: {error.message}"
-    if row.seq != seq or record.link.seq != seq:
-        return f"expected record {seq}, found {record.link.seq}: missing, inserted or reordered"
-    if record.link.prev != b64(prev):
-        return "does not follow the record before it"
-    if record.link.evidence != evidence(record.kind, record.open, record.committed):
-        return "its fields do not match their digest"
-    if link(record.link) != row.link:
-        return "its link does not match its fields"
-    for name, item in sealed.items():
-        if record.committed.get(name) != commit(name, item):
+class _Linked(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=False):
+    """`Link`, with words for patterns: what they spell is held against what it has to be."""
+
+    prev: str
+    mid: str
+    seq: int
+    action: str
+    state: str
+    time_ms: Count
+    decision: str
+    evidence: str
+
+
+class _Told(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`Record`, in the same way."""
+
+    link: _Linked
+    kind: str
+    open: dict[str, Any]
+    committed: dict[str, str]
+
+
+class _Named:
+    """Sealed values under these names: what stands around them, beside a record and hashed.
+
+    Args:
+        names: in the order in which they were read.
+    """
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        spelled = [encode_fast(name) for name in names]
+        self.names = names
+        self.canonical = names == tuple(sorted(names))
+        self.around = b"{%b}" % b",".join(n.replace(b"%", b"%%") + b":{%b" for n in spelled)
+        self.heads = [Tag.COMMITMENT.prefix + b'{"name":%b,' % name for name in spelled]
+
+
+class _Chain:
+    """The chain as far as it was read: where it ends, and whether the next row follows.
+
+    Everything that is hashed is a part of canonical bytes, so nothing is encoded twice.
+    """
+
+    def __init__(self) -> None:
+        self.size = 0
+        self.head = b64(GENESIS)
+        self._named: dict[tuple[str, ...], _Named] = {}
+
+    def fault(self, row: Row) -> str:
+        """Return what is wrong with the next row, empty when nothing is and it was taken in."""
+        data, seq = row.record, self.size
+        try:
+            record = decode(data, _Told)
+            link = record.link
+            _require_words(record.kind, link.decision)
+            named, tails = self._sealed(row.sealed)
+        except MalformedError as error:
+            return f"not a record: {error.message}"
+        if row.seq != seq or link.seq != seq:
+            return f"expected record {seq}, found {link.seq}: missing, inserted or reordered"
+        if link.prev != self.head:
+            return "does not follow the record before it"
+        # a bare quotation mark only begins or ends a text, and there is no object before the
+        # link's or in it: so neither mark can be a part of somebody's words
+        first = data.index(_LINK)
+        end = data.index(_OPEN, first) + 1
+        linked = sha256(_AUDIT + data[first + len(_LINK) - 1 : end]).digest()
+        evidence = sha256(b'%b%b%b,"v":1}' % (_EVIDENCE, data[:first], data[end:-1])).digest()
+        parts = zip(named.heads, tails, strict=True)
+        hashed = [sha256(head + tail).digest() for head, tail in parts]
+        *commitments, stated, head = _spelled([*hashed, evidence, linked])
+        if link.evidence != stated:
+            return "its fields do not match their digest"
+        if row.link != linked:
+            return "its link does not match its fields"
+        committed = record.committed
+        if commitments != [*committed.values()] or named.names != tuple(committed):
+            fault = _uncommitted(committed, dict(zip(named.names, commitments, strict=True)))
+            if fault:
+                return fault
+        self.size, self.head = seq + 1, head
+        return ""
+
+    def _sealed(self, sealed: bytes) -> tuple[_Named, list[bytes]]:
+        """Return the names of sealed values, and the canonical bytes of each behind its brace.
+
+        Raises:
+            MalformedError: the bytes are no canonical sealed values.
+        """
+        if len(sealed) > MAX_BYTES:
+            raise MalformedError(f"expected at most {MAX_BYTES} bytes, got {len(sealed)}")
+        try:
+            read = _SEALED.decode(sealed)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise MalformedError(str(error)) from error
+        names = tuple(read)
+        named = self._named.get(names)
+        if named is None:
+            if len(self._named) >= _MOST_NAMED:
+                self._named.clear()
+            named = self._named[names] = _Named(names)
+        # a line for each; canonical bytes hold no line break
+        tails = _LINES.encode_lines([*read.values()])[1:-1].split(b"\n{") if names else []
+        if not named.canonical or named.around % tuple(tails) != sealed:
+            raise MalformedError("the bytes are not the canonical encoding of what they say")
+        return named, tails
+
+
+def _spelled(digests: list[bytes]) -> list[str]:
+    """Return each digest as base64url; 32 bytes and a zero are 43 letters and one more."""
+    text = b64(b"\0".join(digests))
+    return [text[at : at + 43] for at in range(0, len(text), 44)]
+
+
+def _uncommitted(committed: dict[str, str], sealed: dict[str, str]) -> str:
+    """Return what is wrong where not every commitment is that to the value beside it."""
+    for name, commitment in sealed.items():
+        if committed.get(name) != commitment:
             return f"the value `{name}` does not match its commitment"
+    for name in committed.keys() - sealed.keys():  # these values are gone
+        try:
+            msgspec.convert(committed[name], Digest)
+        except msgspec.ValidationError:
+            return f"not a record: expected a digest at `committed.{name}`"
     return ""
+
+
+def _require_words(*words: str) -> None:
+    for word in words:
+        if word not in _USUAL and not is_identifier(word):
+            raise MalformedError(f"expected an identifier, got `{word}`")
+
+
+def _broken(chain: _Chain, fault: str, where: str) -> Verification:
+    return Verification(whole=False, size=chain.size, head=chain.head, fault=fault, where=where)

@@ -27,11 +27,17 @@ from authguard_r.cli import (
     key_requests,
     keys,
     learn,
+    log_explain,
+    log_export,
+    log_keys,
+    log_show,
+    log_verify,
     metrics,
     normalize,
     orders,
     prompts,
     recover,
+    replay,
     risk_policy,
     robot,
     run,
@@ -39,6 +45,7 @@ from authguard_r.cli import (
     stop_lane,
     templates,
     watch,
+    witness,
 )
 
 app = typer.Typer(
@@ -89,6 +96,13 @@ app.command("metrics")(metrics.metrics_command)
 app.command("stop-lane")(stop_lane.stop_lane_command)
 app.command("robot")(robot.robot_command)
 app.command("estimator")(estimator.estimator_command)
+audit.app.command("verify")(log_verify.verify_command)
+audit.app.command("export")(log_export.export_command)
+audit.app.command("key")(log_keys.key_command)
 audit.app.command("prompts")(prompts.prompts_command)
+audit.app.command("show")(log_show.show_command)
+audit.app.command("replay")(replay.replay_command)
+audit.app.command("explain")(log_explain.explain_command)
 app.add_typer(audit.app, name="audit")
 app.add_typer(frost.app, name="frost")
+app.add_typer(witness.app, name="witness")

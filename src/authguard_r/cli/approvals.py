@@ -194,13 +194,21 @@ def _answer(
         left = _left(client, counter)
     worth = told.get("why_not")
     said = f"request {counter}: {told.get('approver')} {_SAID[verdict]}"
-    missing = []
-    if left is not None and verdict is Verdict.APPROVE:
-        missing = [f"{left.behind} of {left.required} people are behind it"]
-    result = [f"{said}, but it does not count: {worth}"] if worth else [said, *missing]
-    payload = {**told, "counts": not worth, "behind": None if left is None else left.behind}
+    behind = None if left is None else left.behind
+    in_vain = verdict is Verdict.APPROVE and left is not None and left.denied
+    if worth:
+        result = [f"{said}, but it does not count: {worth}"]
+    elif in_vain:
+        result = [f"{said}, but it is denied: the next proposal closes it"]
+    elif left is not None and verdict is Verdict.APPROVE:
+        result = [said, f"{behind} of {left.required} people are behind it"]
+    else:
+        result = [said]
+    counts = not worth and not in_vain
+    denied = None if left is None else left.denied
+    payload = {**told, "counts": counts, "behind": behind, "denied": denied}
     emit(payload, [*(lines if yes else []), *result], as_json=as_json)
-    return 1 if worth else 0
+    return 0 if counts else 1
 
 
 _SAID = {Verdict.APPROVE: "approves", Verdict.DENY: "denies"}

@@ -3,45 +3,72 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from authguard_r.audit.record import read_record, read_sealed
-from authguard_r.audit.verify import Row
+from authguard_r.anchoring.outside import Why
 from authguard_r.cli.gateway import (
-    STOP_SOCKET,
     GateOption,
     ProofOption,
     Reading,
     RoleOption,
     connect_as,
     connected,
-    socket_in,
+    lane_in,
 )
 from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.mission import TokenArgument
+from authguard_r.cli.offline import CounterOption
 from authguard_r.cli.orders import CertOption, KeyOption, TemplateOption, signed_order
 from authguard_r.cli.out import emit
 from authguard_r.cli.run import stop_command as stop_store
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.commands import Verb
-from authguard_r.core.encoding import decode, unb64
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedError
-from authguard_r.core.mission import Mission
-from authguard_r.core.reasons import Reason
-from authguard_r.core.token import read_token
-from authguard_r.gate.explain import explanation, is_refused_proposal, no_record
-from authguard_r.store.sqlite import read_held, read_rows
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import ClientRole
 
 #: How much of a digest a line shows; `--json` has all of it.
 _SHORT = 12
 #: Whose silence counts.
 _HEARD = ("planner", "estimator", "controller")
+#: What nothing goes on for, and what to do about each.
+_WAY_OUT = ("STORE PUT BACK", "find out why, then: authguard recover")
+_OLDER = "put the newest store in place; if there is none, find out why, then: authguard recover"
+WAYS_OUT: Mapping[str, tuple[str, str]] = {
+    Why.BEHIND: ("STORE PUT BACK", _OLDER),
+    Why.FORKED: ("STORE PUT BACK", _OLDER),
+    Why.REPLACED: ("STORE REPLACED", "look at --store; if it is the right one: authguard recover"),
+    Why.CHECKPOINT_DIFFERS: (
+        "LOG CHANGED",
+        "find out who wrote into it; put a sound store in place, or: authguard recover",
+    ),
+    Why.COUNTER_MISSING: (
+        "COUNTER GONE",
+        "look at --counter, put the file back; if it is lost: authguard recover",
+    ),
+    Why.COUNTER_BEHIND: (
+        "COUNTER PUT BACK",
+        "put the newest one in place; if it is lost: authguard recover",
+    ),
+    Why.COUNTER_FOREIGN: (
+        "COUNTER DAMAGED",
+        "look at --counter; recovering writes over that file: authguard recover",
+    ),
+    Why.COUNTER_UNREADABLE: (
+        "COUNTER NOT READ",
+        "look at --counter and its mount, then start the gate again; nothing is to be signed",
+    ),
+    Why.COUNTER_NOT_NAMED: (
+        "COUNTER NOT NAMED",
+        "start the gate again with its --counter; nothing is to be signed",
+    ),
+}
 
 
 def status_command(
@@ -62,6 +89,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     shadow = "; SHADOW: nothing is released" if status.get("mode") == "shadow" else ""
     head = f"{status.get('robot')}: {status.get('mode')}, up {_age(status.get('uptime_ms'))}"
     lines = [head + shadow, *_mission_lines(status.get("mission"))]
+    lines += _stand_lines(status.get("stop_stands")) + _emergency_lines(status.get("emergency"))
     for lease in status.get("leases") or []:
         ticket = str(lease.get("ticket"))[:_SHORT]
         so_far, left = _age(lease.get("for_ms")), _age(lease.get("left_ms"))
@@ -111,6 +139,7 @@ def stop_command(
     trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
     site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
     robot: Annotated[str | None, typer.Option("--robot", help="Which gate, for --store.")] = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Brake and hold, through the stop lane; with --store, only record it there.
@@ -122,9 +151,9 @@ def stop_command(
     if store is not None:
         if gate is not None or trust is None or site is None:
             raise typer.BadParameter("takes --trust and --site, not --gate", param_hint="--store")
-        return stop_store(trust, site, store, robot, as_json)
+        return stop_store(trust, site, store, robot, counter, as_json)
     roles = [ClientRole(name) for name in (Stopping if role is None else (role,))]
-    with connect_as(socket_in(gate, STOP_SOCKET), roles) as client:
+    with connect_as(lane_in(gate), roles) as client:
         said = {**client.stop(why), "role": str(client.welcome.role)}
     emit(said, _stop_lines(said), as_json=as_json)
     return 0 if said.get("stopped") is True else 5
@@ -163,92 +192,22 @@ def explain_command(
     store: Annotated[
         Path | None, typer.Option("--store", help="Read a store that no gate holds.")
     ] = None,
-    draft: Annotated[
-        Path | None,
-        typer.Option("--draft", help="Write the smallest change here: a draft to go through."),
-    ] = None,
+    draft: DraftOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say in words why a record says what it says, what to do, and what would have allowed it."""
     if store is not None:
         if gate is not None:
             raise typer.BadParameter("not together with --gate", param_hint="--store")
-        told = explain_stored(store, seq)
+        told = explained(read_rows(store), seq)
     else:
         with connected(gate, role, trust) as client:
             told = client.explain(seq)
     lines = [str(line) for line in told.get("text") or []]
     if draft is not None:
-        lines.append(_write_change(draft, told))
+        lines.append(write_change(draft, told))
     emit(told, lines, as_json=as_json)
     return 0
-
-
-def _write_change(path: Path, told: dict[str, Any]) -> str:
-    """Write the smallest signed change as a draft; return what comes next.
-
-    Raises:
-        RefusedError: no signature would have allowed it.
-        EnvironmentFault: something is there already.
-    """
-    change = told.get("smallest_change")
-    if change is None:
-        message = "no next version of the mission would have allowed it: `to do` says what else"
-        raise RefusedError(message, reason=Reason.TRANSITION_REFUSED, where="--draft")
-    text = f"# PROPOSED: what would have allowed record {told['seq']}. Nothing of it is in force.\n"
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text + json.dumps(change, indent=2) + "\n")
-    except FileExistsError as error:
-        message = f"`{path}` is there already, and a proposal takes nothing's place"
-        raise EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where="--draft") from error
-    return f"{path}: read it, then: authguard mission compile {path} --site SITE --supersedes TOKEN"
-
-
-def explain_stored(store: Path, seq: int | None) -> dict[str, Any]:
-    """Return the explanation of a record in a file.
-
-    Args:
-        store: nobody needs to trust it; nothing is verified here (`audit verify` does).
-        seq: the record; None takes the last refused proposal.
-
-    Raises:
-        RefusedError: there is no such record.
-        StoreError: the store cannot be read.
-        MalformedError: the record is damaged.
-    """
-    found = next((row for row in _rows(store) if _is_meant(row, seq)), None)
-    if found is None:
-        raise no_record(seq)
-    where = f"record {found.seq}"
-    record = read_record(found.record, where=where)
-    sealed = read_sealed(found.sealed, where=where)
-    return explanation(
-        found.seq, record, sealed, mission=_mission(store, record.open.get("mission"))
-    )
-
-
-def _rows(store: Path) -> list[Row]:
-    return list(read_rows(store))[::-1]
-
-
-def _is_meant(row: Row, seq: int | None) -> bool:
-    """True for the record that was asked for; without a number, for a refused proposal."""
-    if seq is not None:
-        return row.seq == seq
-    return is_refused_proposal(read_record(row.record, where=f"record {row.seq}"))
-
-
-def _mission(store: Path, digest: Any) -> Mission | None:
-    """Return the mission that a record names, when the store has it; only words are made of it."""
-    data = read_held(store, "token", digest) if isinstance(digest, str) else None
-    if data is None:
-        return None
-    try:
-        payload = unb64(read_token(data).payload, where="token.payload")
-        return decode(payload, Mission, where="mission")
-    except AuthGuardError:
-        return None  # damaged: the record is explained without a change
 
 
 def _mission_lines(mission: Any) -> list[str]:
@@ -256,12 +215,32 @@ def _mission_lines(mission: Any) -> list[str]:
         return ["no active mission"]
     head = f"mission {mission.get('mid')} version {mission.get('version')}: {mission.get('status')}"
     lines = [f"{head}, by {mission.get('issuer')}, until {mission.get('expiry')}"]
+    void = mission.get("void")
+    lines += [f"  AUTHORIZES NOTHING: {void}"] if void is not None else []
     lines += [
         f"  {g.get('id')} ({g.get('type')}): {g.get('starts')} of {g.get('of')} starts"
         for g in mission.get("grants") or []
         if isinstance(g, dict)
     ]
     return lines + [f"  open release {ticket}" for ticket in mission.get("open") or []]
+
+
+def _stand_lines(stands: Any) -> list[str]:
+    """Return that an operator's stop stands, and what ends it, for people."""
+    what = "AN OPERATOR'S STOP STANDS: until authguard resume, or the next activation"
+    return [what] if stands is True else []
+
+
+def _emergency_lines(emergency: Any) -> list[str]:
+    """Return which emergency policy counts, and what ended nobody knows how, for people."""
+    if not isinstance(emergency, dict):
+        return []
+    named = f"{emergency.get('policy')} version {emergency.get('version')}"
+    going = emergency.get("under_way")
+    lines = [f"emergency policy: {named}, until {emergency.get('expiry')}"]
+    lines += [f"EMERGENCY UNDER WAY: {going}"] if going is not None else []
+    unknown = _flat(emergency.get("unknown") or [])
+    return lines + ([f"EMERGENCY ENDED UNKNOWN: {unknown}; go and look"] if unknown else [])
 
 
 def _disk_lines(disk: Any) -> list[str]:
@@ -283,10 +262,27 @@ def _lane_lines(lane: Any) -> list[str]:
 
 
 def _anchor_lines(anchor: Any) -> list[str]:
-    """Return that the store is not the one that was counted, for people."""
-    if not isinstance(anchor, dict) or anchor.get("state") != "put_back":
+    """Return what does not fit the store, and the way out, for people."""
+    if not isinstance(anchor, dict):
         return []
-    return [f"STORE PUT BACK: {anchor.get('message')}", "  find out why, then: authguard recover"]
+    if anchor.get("state") != "put_back":
+        return _witness_lines(anchor.get("witness"))
+    head, way = WAYS_OUT.get(str(anchor.get("why")), _WAY_OUT)
+    return [f"{head}: {anchor.get('message')}", f"  {way}"]
+
+
+def _witness_lines(told: Any) -> list[str]:
+    """Return how far the log is witnessed, and who cosigns."""
+    if not isinstance(told, dict):
+        return []
+    names = (f"{one.get('name')} {one.get('state')}" for one in told.get("witnesses") or [])
+    at_ms = told.get("witnessed_ms")
+    last = f"last at {to_timestamp(at_ms)}" if isinstance(at_ms, int) and at_ms else "never yet"
+    asked = f"{told.get('confirmed')} of {told.get('quorum')} since the start"
+    return [
+        f"witnesses: {asked} ({', '.join(names)})",
+        f"  not witnessed: {told.get('unwitnessed')} records ({last})",
+    ]
 
 
 def _stop_lines(said: dict[str, Any]) -> list[str]:

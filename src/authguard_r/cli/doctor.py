@@ -87,8 +87,10 @@ def doctor(
             "--emergency-policy", help="The signed emergency policy; needs --trust and --site."
         ),
     ] = None,
-    key: Annotated[Path | None, typer.Option("--key", help="The gate's private key.")] = None,
-    cert: Annotated[Path | None, typer.Option("--cert", help="The gate's certificates.")] = None,
+    key: Annotated[
+        Path | None, typer.Option("--key", help="A private key, the gate's or one's own.")
+    ] = None,
+    cert: Annotated[Path | None, typer.Option("--cert", help="The key's certificates.")] = None,
     run: Annotated[
         Path | None, typer.Option("--run", help="The folder of the gate's sockets.")
     ] = None,
@@ -124,6 +126,7 @@ def doctor(
         counter=lies.at(counter, "counter"),
         files=tuple(path for path in believed if path is not None),
         deep=True,
+        around=_around(folder, trust),
     )
     listed = lies.at(None, "interface.yaml")
     compare = interface or ([str(listed)] if listed is not None else None)
@@ -138,6 +141,12 @@ def doctor(
     payload = {"safe": is_safe(found), "advice": [to_builtins(item) for item in found]}
     emit(payload, [_line(item) for item in found], as_json=as_json)
     return 0 if is_safe(found) else 5
+
+
+def _around(folder: Path | None, trust: Path | None) -> tuple[Path, ...]:
+    """Return where the how-to lays a person's own key: in the folder, beside the trust folder."""
+    beside = folder if folder is not None or trust is None else trust.absolute().parent
+    return () if beside is None else (beside,)
 
 
 def _require_both(*parts: tuple[Path | None, Path | None, str]) -> None:

@@ -23,8 +23,9 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.token import read_token
 from authguard_r.emergency.opened import OpenedPolicy, open_emergency
-from authguard_r.gate.checkup import SOON_MS, Setup
+from authguard_r.gate.checkup import Setup
 from authguard_r.gate.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.gate.checkup.certificates import SOON_MS
 from authguard_r.keys.certificate import walk
 from authguard_r.keys.trust import (
     ROOT_LISTS,

@@ -155,9 +155,11 @@ def certify_command(
     every_robot: Annotated[bool, typer.Option("--every-robot", help="All robots.")] = False,
     every_region: Annotated[bool, typer.Option("--every-region", help="All regions.")] = False,
     days: Annotated[int, typer.Option("--days", help="How long it is valid.", min=1)] = 365,
+    passphrase_file: PassphraseFile = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Issue the group's certificate; the folder must hold the people authority's key."""
+    """Show, ask, and issue the group's certificate; the folder holds the people authority's key."""
     if every_robot == bool(robot) or every_region == bool(region):
         raise typer.BadParameter(
             "name robots or --every-robot, and regions or --every-region", param_hint="--robot"
@@ -168,7 +170,15 @@ def certify_command(
     from authguard_r.cli import frost_keys
 
     return frost_keys.certify(
-        trust, group, role=role, robots=robots, regions=regions, days=days, as_json=as_json
+        trust,
+        group,
+        role=role,
+        robots=robots,
+        regions=regions,
+        days=days,
+        passphrase_file=passphrase_file,
+        yes=yes,
+        as_json=as_json,
     )
 
 
@@ -283,13 +293,14 @@ def submit_command(
 @app.command("inspect")
 def inspect_command(
     file: Annotated[Path, typer.Argument(help="Any file of `authguard frost`.")],
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say what a file is and whether it holds; secrets are not shown."""
     _require_extra()
     from authguard_r.cli import frost_signing
 
-    return frost_signing.inspect(file, as_json=as_json)
+    return frost_signing.inspect(file, passphrase_file=passphrase_file, as_json=as_json)
 
 
 def _require_extra() -> None:

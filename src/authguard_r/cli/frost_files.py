@@ -42,17 +42,28 @@ def load_share(path: Path, passphrase_file: Path | None = None) -> Share:
         MalformedError: it holds none.
         AuthenticityError: the passphrase is wrong, or the file was changed.
     """
+    return read(opened(path, passphrase_file), Share, where=path.name)
+
+
+def opened(path: Path, passphrase_file: Path | None = None) -> bytes:
+    """Return what is in a file, plain or sealed.
+
+    Raises:
+        EnvironmentFault: it cannot be read, or is sealed and nobody says the passphrase.
+        MalformedError: it is sealed and damaged.
+        AuthenticityError: the passphrase is wrong, or the file was changed.
+    """
     data = read_file(path)
-    if is_sealed(data):
-        said = passphrase_of(passphrase_file)
-        if said is None:
-            raise EnvironmentFault(
-                "the share is sealed, and nobody is there to say its passphrase",
-                reason=Reason.KEY_INVALID,
-                where=str(path),
-            )
-        data = unseal(data, said(str(path)), where=str(path))
-    return read(data, Share, where=path.name)
+    if not is_sealed(data):
+        return data
+    said = passphrase_of(passphrase_file)
+    if said is None:
+        raise EnvironmentFault(
+            "the share is sealed, and nobody is there to say its passphrase: --passphrase-file",
+            reason=Reason.KEY_INVALID,
+            where=str(path),
+        )
+    return unseal(data, said(str(path)), where=str(path))
 
 
 def load_all(paths: tuple[Path, ...], kind: type[T]) -> tuple[T, ...]:

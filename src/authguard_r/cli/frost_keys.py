@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
-from cryptography.hazmat.primitives.serialization import Encoding
-
+from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.frost_files import (
     group_lines,
     impossible,
@@ -21,18 +20,20 @@ from authguard_r.cli.frost_files import (
     store,
 )
 from authguard_r.cli.out import emit
-from authguard_r.cli.signing_key import ask_new_passphrase, read_passphrase
+from authguard_r.cli.signing_key import ask_new_passphrase, passphrase_of, read_passphrase
 from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
+from authguard_r.core.identifiers import RegionId, RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.frost import dkg
 from authguard_r.frost.keys import deal as deal_key
 from authguard_r.frost.keys import public_key, require_share
 from authguard_r.frost.messages import Contribution, Group, Offer, Plan, Secret, digest, written
 from authguard_r.frost.nonces import write_new
-from authguard_r.keys.certificate import Role, build_leaf
+from authguard_r.keys.authority import issue_group, require_group
+from authguard_r.keys.certificate import Role
 from authguard_r.keys.ed25519 import public_key as ed25519_key
 from authguard_r.keys.envelope import is_sealed, seal
-from authguard_r.keys.setup import authority_of, read_authority
+from authguard_r.keys.request import Wanted
 from authguard_r.keys.trust import read_certificates, read_file
 
 #: What a group may be: it answers, and issues nothing.
@@ -135,35 +136,51 @@ def certify(
     robots: tuple[str, ...] | None,
     regions: tuple[str, ...] | None,
     days: int,
+    passphrase_file: Path | None,
+    yes: bool,
     as_json: bool,
 ) -> int:
-    """Write the group's certificate chain into the trust folder."""
+    """Show what would be given, ask, and write the group's certificate chain into the folder."""
     group = load(group_file, Group)
     if role not in ROLES:
         raise MalformedError(f"expected a role of {', '.join(ROLES)}, got `{role}`", where="--role")
     _require_one_root(trust)
-    authority = read_authority(trust, authority_of(Role(role)))
-    target = trust / "keys" / f"{group.id}.cert.pem"
-    require_absent(target, trust / "keys" / f"{group.id}.key.pem")
-    leaf = build_leaf(
-        ed25519_key(public_key(group), where="group"),
+    wanted = Wanted(
         principal=group.id,
         role=Role(role),
-        issuer=authority.certificate,
-        key=authority.key,
-        now=datetime.now(UTC) - timedelta(days=1),
-        days=days,
-        robots=robots,
-        regions=regions,
+        robots=tuple(sorted(map(RobotId, set(robots or ())))),
+        every_robot=robots is None,
+        regions=tuple(sorted(map(RegionId, set(regions or ())))),
+        every_region=regions is None,
+    )
+    key, now = ed25519_key(public_key(group), where="group"), datetime.now(UTC)
+    require_group(trust, wanted, key, now=now)
+    card = [
+        *group_lines(group),
+        f"role {role}",
+        f"robots {_words(robots)}",
+        f"regions {_words(regions)}",
+        f"days {days}",
+    ]
+    if not yes:
+        confirm_shown(card, "Give exactly this?", as_json=as_json)
+    target = issue_group(
+        trust,
+        wanted,
+        key,
         threshold=group.threshold,
         members=group.members,
-    )
-    target.write_bytes(
-        b"".join(c.public_bytes(Encoding.PEM) for c in (leaf, authority.certificate))
+        now=now,
+        days=days,
+        passphrase=passphrase_of(passphrase_file),
     )
     payload = {"file": str(target), "principal": group.id, "digest": digest(group)}
-    emit(payload, [*group_lines(group), f"role {role}", f"{target}"], as_json=as_json)
+    emit(payload, [*(card if yes else []), f"{target}"], as_json=as_json)
     return 0
+
+
+def _words(names: tuple[str, ...] | None) -> str:
+    return "EVERY ONE" if names is None else ", ".join(names)
 
 
 def protect(share_file: Path, passphrase_file: Path | None, *, as_json: bool) -> int:

@@ -14,7 +14,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from msgspec import Struct
 
-from authguard_r.assembly import Gate, offline_gate
+from authguard_r.assembly import Gate
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.frost_files import (
     ballot_lines,
@@ -22,19 +22,21 @@ from authguard_r.cli.frost_files import (
     load,
     load_all,
     load_share,
+    opened,
     owner,
     plain,
     require_absent,
     store,
 )
 from authguard_r.cli.gateway import Reading, connected
-from authguard_r.cli.inputs import gate_robot, load_site, wall_now
+from authguard_r.cli.inputs import wall_now
+from authguard_r.cli.offline import Kept, offline
 from authguard_r.cli.out import emit, printed
 from authguard_r.cli.sign import trust_folder_of
 from authguard_r.client.questions import shown, the_one
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, decode
-from authguard_r.core.errors import AuthenticityError, RefusedError
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault, RefusedError
 from authguard_r.core.ports import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
@@ -96,21 +98,25 @@ class Place(Struct, frozen=True, kw_only=True):
 
         Raises:
             typer.BadParameter: a store needs trust and site.
+            EnvironmentFault: there is no such store; none is made.
         """
         if self.store is None or self.trust is None or self.site is None:
             raise typer.BadParameter("a store needs --trust and --site", param_hint="--store")
-        rid, site = gate_robot(self.trust, self.robot), load_site(self.site, self.trust)
-        gate = offline_gate(self.trust, site, rid=rid, store=self.store)
-        try:
+        if not self.store.is_file():
+            raise EnvironmentFault(
+                f"no store `{self.store}`",
+                reason=Reason.STORE_UNAVAILABLE,
+                where=str(self.store),
+            )
+        kept = Kept(store=self.store, trust=self.trust, site=self.site, robot=self.robot)
+        with offline(kept) as gate:
             yield gate
-        finally:
-            gate.close()
 
 
 def ballot(counter: int, place: Place, out: Path, *, deny: bool, as_json: bool) -> int:
     """Write the answer to an open request, with what it is bound to."""
     asked = _question(counter, place)
-    opened = shown(asked)
+    seen = shown(asked)
     approval = Approval(
         mid=asked.mid,
         version=asked.version,
@@ -123,7 +129,7 @@ def ballot(counter: int, place: Place, out: Path, *, deny: bool, as_json: bool) 
         expires_ms=asked.expires_ms,
         verdict=Verdict.DENY if deny else Verdict.APPROVE,
     )
-    made = Ballot(approval=approval, scope=opened.scope, situation=opened.situation)
+    made = Ballot(approval=approval, scope=seen.scope, situation=seen.situation)
     store(out, made)
     payload = {"file": str(out), "ballot": plain(made), "required": asked.required}
     lines = [*ballot_lines(made), f"{asked.required} people are needed, the issuer included"]
@@ -239,10 +245,11 @@ def aggregate(
     return 0
 
 
-def inspect(file: Path, *, as_json: bool) -> int:
+def inspect(file: Path, *, passphrase_file: Path | None, as_json: bool) -> int:
     """Say what a file is, and whether it holds as far as it can be seen alone."""
+    data = opened(file, passphrase_file)
     # a union tells the kinds apart by their names
-    value: Any = decode(read_file(file).removesuffix(b"\n"), File, where=file.name)  # type: ignore[arg-type]
+    value: Any = decode(data.removesuffix(b"\n"), File, where=file.name)  # type: ignore[arg-type]
     kind = str(msgspec.to_builtins(value)["kind"])
     shown: dict[str, object] = {"kind": kind}
     lines = [kind]

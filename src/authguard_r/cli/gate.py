@@ -97,7 +97,6 @@ def gate_command(
     rid = _possible(model, gate_robot(trust, robot), simulate=simulate, demo=demo and anchor.demo)
     key, cert, signer = _identity(trust, rid, key, cert)
     signed = open_gate_config(read_file(config), verifier=anchor, now=now, robot=rid)
-    tools = read_binding(binding, model)
     setup = Setup(
         demo=demo and anchor.demo,
         uid=os.geteuid(),
@@ -105,19 +104,21 @@ def gate_command(
         key=key,
         chain=cert,
         site=model,
-        binding=tools,
+        binding=(tools := read_binding(binding, model)),
         model=site,
         tools=binding,
         config=signed,
         store=store,
         run=make_run(run),
         counter=counter,
+        journal=emergency_journal,
         interface=shipped_interface(str(binding)) or (),
         files=(site, binding, config, *filter(None, (safety, risk_policy, emergency))),
     )
     require_safe(setup, now)
     files = LaneFiles(run=run, robot=rid, trust=trust, key=key, cert=cert, config=config)
     parts = Parts(
+        emergency=_emergency((emergency, emergency_journal), anchor, model, rid=rid, now=now),
         run=run,
         trust=anchor,
         signer=signer,
@@ -133,7 +134,6 @@ def gate_command(
         simulated=_symbolic(trust, model, rid) if simulate else None,
         risk=_risk(risk_policy, anchor, now),
         counter=kept,
-        emergency=_emergency((emergency, emergency_journal), anchor, model, rid=rid, now=now),
     )
     run_gate(parts, lambda told: _ready(told, signed, as_json=as_json))
     return 0
@@ -209,6 +209,8 @@ def _emergency(
 ) -> EmergencyParts | None:
     """Return the signed policy and where its journal is; without one only stops need no mission."""
     path, journal = paths
+    if path is None and journal is not None:
+        raise typer.BadParameter("needs --emergency-policy", param_hint="--emergency-journal")
     if path is None:
         return None
     opened = open_emergency(read_file(path), verifier=trust, now=now, site=site, robot=rid)

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 from msgspec import Struct, to_builtins
 
+from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import folder_signer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.out import emit
@@ -30,7 +31,14 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.gate.checkup.advice import Advice, in_demonstration
 from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
-from authguard_r.gate.config import CONFIG_ROLES, GateConfig, Peer, default_config, open_gate_config
+from authguard_r.gate.config import (
+    CONFIG_ROLES,
+    GateConfig,
+    Peer,
+    default_config,
+    open_gate_config,
+    require_witnesses,
+)
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
@@ -41,7 +49,7 @@ from authguard_r.wire.messages import ClientRole, Mode
 
 app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
 _SIGNER = "site-authority-1"
-_PLAIN = ("connections", "refusals", "disclosure")
+_PLAIN = ("connections", "refusals", "disclosure", "checkpoint_records", "quorum")
 #: The bounds as people write them: name, the signed field, its unit.
 _BOUNDS = (
     ("planner_silence", "planner_silence_ms", "ms"),
@@ -50,6 +58,8 @@ _BOUNDS = (
     ("stand_within", "stand_within_ms", "ms"),
     ("fold", "fold_ms", "ms"),
     ("reserve", "reserve_bytes", "byte"),
+    ("checkpoint", "checkpoint_ms", "ms"),
+    ("witness_silence", "witness_ms", "ms"),
 )
 RobotOption = Annotated[str, typer.Option("--robot", help="The robot that the gate holds.")]
 TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
@@ -71,6 +81,11 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         stand_within: as above.
         fold: as above.
         reserve: disk kept free.
+        checkpoint_records: records after which a checkpoint is made.
+        checkpoint: time after which one is made of anything new.
+        witnesses: who cosign the checkpoints.
+        quorum: how many of them have to.
+        witness_silence: as the others.
     """
 
     robot: RobotId
@@ -85,6 +100,11 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     stand_within: Quantity | None = None
     fold: Quantity | None = None
     reserve: Quantity | None = None
+    checkpoint_records: Positive | None = None
+    checkpoint: Quantity | None = None
+    witnesses: tuple[WitnessPlace, ...] = ()
+    quorum: int | None = None
+    witness_silence: Quantity | None = None
 
 
 @app.command("make")
@@ -111,7 +131,7 @@ def make(
         write_whole(out, sign_object(config, Tag.GATE, _demo_signer(trust)))
         note = ["DEMONSTRATION: one user is everybody, so nothing is apart"]
     else:
-        out.write_text(written(config, form), encoding="utf-8")
+        write_whole(out, written(config, form).encode("utf-8"))
     emit(_payload(config, out), [*note, *card(config, demo=demo), str(out)], as_json=as_json)
     return 0
 
@@ -211,7 +231,9 @@ def read_form(form: Form, *, where: str) -> GateConfig:
         if (value := getattr(form, name)) is not None
     }
     plain |= {name: value for name, value in given.items() if value is not None}
-    return convert(plain, GateConfig, where=where)
+    config = convert({**plain, "witnesses": to_builtins(form.witnesses)}, GateConfig, where=where)
+    require_witnesses(config, where=where)
+    return config
 
 
 def user_number(who: str | int, *, where: str) -> int:
@@ -241,6 +263,7 @@ def written(config: GateConfig, form: Form) -> str:
         f"robot: {config.robot}\nmode: {config.mode}\npeers:\n{peers}"
         + "".join(f"{name}: {getattr(config, name)}\n" for name in _PLAIN)
         + bounds
+        + "witnesses: []\n"
     )
 
 
@@ -258,6 +281,7 @@ def card(config: GateConfig, *, demo: bool = False) -> list[str]:
         lines.append(f"  {peer.uid:6} {name:20} {', '.join(peer.roles)}")
     bounds = (*_PLAIN, *(field for _, field, _ in _BOUNDS))
     lines += [f"  {name} {getattr(config, name)}" for name in bounds]
+    lines += [f"  witness {place.key} at {place.url}" for place in config.witnesses]
     return [*lines, *(f"{a.level.upper()} {a.message} -> {a.mend}" for a in advice)]
 
 

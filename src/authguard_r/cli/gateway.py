@@ -142,6 +142,26 @@ def socket_in(run: Path | None, name: str) -> Path:
     return place.with_name(name) if place.name in {GATE_SOCKET, STOP_SOCKET} else place
 
 
+def lane_in(run: Path | None) -> Path:
+    """Return the stop lane's socket of a run folder.
+
+    Args:
+        run: as for `socket_in`.
+
+    Raises:
+        EnvironmentFault: as `socket_in`; or only a gate's socket is there.
+    """
+    path = socket_in(run, STOP_SOCKET)
+    if path.name != STOP_SOCKET or path.exists() or not path.with_name(GATE_SOCKET).is_socket():
+        return path
+    raise EnvironmentFault(
+        "this gate has no stop lane (`--simulate`), so nobody is told to stop: "
+        "`authguard mission suspend` holds its mission, and ending the gate stops its robot",
+        reason=Reason.STORE_UNAVAILABLE,
+        where=str(path),
+    )
+
+
 def only_run(folder: Path, name: str) -> Path:
     """Return the only run folder below a folder that has this socket.
 
@@ -225,7 +245,7 @@ def running_gate(store: Path, trust: Path, rid: RobotId) -> Iterator[Remote | No
     beside = beside_store(store)
     client = None if beside is None else _connect(Path(beside.socket), trust, rid)
     if client is None:
-        with told_of(beside, store):
+        with told_of(beside, store, tried=True):
             yield None
         return
     with client:
@@ -245,16 +265,22 @@ def _connect(path: Path, trust: Path, rid: RobotId) -> GateClient | None:
 
 
 @contextmanager
-def told_of(beside: Beside | None, store: Path) -> Iterator[None]:
-    """Say where the gate is when its store is held."""
+def told_of(beside: Beside | None, store: Path, *, tried: bool = False) -> Iterator[None]:
+    """Say where the gate is when its store is held.
+
+    Args:
+        beside: what lies beside the store.
+        store: the store.
+        tried: nobody answered at that gate's socket.
+    """
     try:
         yield
     except StoreError as error:
         if beside is None or error.reason is not Reason.STORE_UNAVAILABLE:
             raise
+        away = ": nobody answers there now" if tried else ""
         raise StoreError(
-            f"the gate is running (process {beside.pid}), use its socket `{beside.socket}`: "
-            "nobody answers there now",
+            f"the gate is running (process {beside.pid}), use its socket `{beside.socket}`{away}",
             where=str(store),
         ) from error
 

@@ -26,19 +26,15 @@ from authguard_r.cli.key_requests import (
     wanted_of,
 )
 from authguard_r.cli.out import emit
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
-from authguard_r.core.errors import AuthenticityError
+from authguard_r.cli.signing_key import PassphraseFile, open_signer, passphrase_of
+from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm
-from authguard_r.keys.authority import issue, require_grantable, signing_here
-from authguard_r.keys.files import install_answer, require_root, write_whole
-from authguard_r.keys.request import (
-    OpenedAnswer,
-    OpenedRequest,
-    fingerprint,
-    open_answer,
-    open_request,
-)
+from authguard_r.keys.authority import issue, require_grantable, wider
+from authguard_r.keys.files import write_whole
+from authguard_r.keys.install import OpenedAnswer, install_answer, open_answer, require_root
+from authguard_r.keys.request import OpenedRequest, fingerprint, open_request
+from authguard_r.keys.revoking import signing_here
 from authguard_r.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.keys.trust import read_certificates, read_file, read_trust
 
@@ -54,6 +50,7 @@ def init_authorities(
     site: Path | None,
     authorities: str,
     algorithms: tuple[Algorithm, ...],
+    days: int,
     as_json: bool,
 ) -> int:
     """Write roots and role authorities, no members: the authority's machine, for work.
@@ -63,6 +60,7 @@ def init_authorities(
         site: names the root after this site.
         authorities: which, with commas between.
         algorithms: one for each root.
+        days: how long roots and authorities are valid; nothing that they give outlives them.
         as_json: how it is told.
     """
     names = tuple(dict.fromkeys(authorities.split(",")))
@@ -77,16 +75,20 @@ def init_authorities(
     if "demo" in title.lower():
         raise typer.BadParameter("a root that says `demo` is for no real gate", param_hint="--site")
     now = datetime.now(UTC)
-    init_folder(folder, (), now=now, algorithms=algorithms, title=title, authorities=names)
+    init_folder(
+        folder, (), now=now, days=days, algorithms=algorithms, title=title, authorities=names
+    )
     for name in signing_here(folder):  # a list that is held back is believed no longer than this
         write_revocations(
             folder, name, read_key(folder, name), serials=(), now=now, number=1, days=LIST_DAYS
         )
-    printed = fingerprint(read_trust(folder).roots)
+    roots = read_trust(folder).roots
+    printed, end = fingerprint(roots), f"{roots[0].not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}"
     lines = [
         f"{folder}: {title}; its private keys are in keys/ and nowhere else",
         *(f"  {name}: gives {', '.join(AUTHORITIES[name])}" for name in names),
         f"lists are good for {LIST_DAYS} days: authguard keys lists {folder}",
+        f"until {end}, and nothing that it gives any longer",
         f"root {printed}",
     ]
     payload = {
@@ -95,6 +97,7 @@ def init_authorities(
         "principals": [],
         "authorities": list(names),
         "root": printed,
+        "until": end,
     }
     emit(payload, lines, as_json=as_json)
     return 0
@@ -108,17 +111,31 @@ def issue_command(
         Path | None, typer.Option("--out", help="The answer (default: beside the request).")
     ] = None,
     yes: YesFlag = False,
+    more: Annotated[
+        bool,
+        typer.Option("--wider", help="With --yes: also when the name asks for more than it has."),
+    ] = False,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """On the authority's machine: show what is asked for, confirm, write one answer file."""
     opened, now = open_request(read_file(request)), datetime.now(UTC)
     require_grantable(folder, opened, now=now)
-    card = [*card_of(opened), f"days     {days}"]
+    beyond = wider(folder, opened, now=now)
+    card = [*card_of(opened), *(f"WIDER    {item}" for item in beyond), f"days     {days}"]
     if not yes:
         confirm_shown(card, "Give exactly this?", as_json=as_json)
+    elif beyond and not more:
+        raise RefusedError(
+            f"`{opened.wanted.principal}` asks for more than it has: {'; '.join(beyond)}; with "
+            "`--yes` that is said too: `--wider`",
+            reason=Reason.SIGNER_OUT_OF_SCOPE,
+            where="request",
+        )
     target = out or request.with_name(request.name.removesuffix(REQUEST_END) + ".answer.json")
-    write_whole(target, issue(folder, opened, now=now, days=days))
-    payload = {"answer": str(target), "days": days, **wanted_json(opened)}
+    said = passphrase_of(passphrase_file)
+    issue(folder, opened, now=now, days=days, passphrase=said, out=target)
+    payload = {"answer": str(target), "days": days, "wider": list(beyond), **wanted_json(opened)}
     emit(
         payload, [*(card if yes else []), f"answer   {target}: back to its maker"], as_json=as_json
     )
@@ -142,7 +159,8 @@ def install_command(
     as_json: JsonFlag = False,
 ) -> int:
     """On the member's machine: check the answer against key, request and root; write it."""
-    opened = open_answer(read_file(answer), wall_now(None))
+    now = wall_now(None)
+    opened = open_answer(read_file(answer), now)
     stem = key.name.removesuffix(KEY_END)
     asked = request or key.with_name(stem + REQUEST_END)
     if asked.exists() or request is not None:
@@ -150,8 +168,8 @@ def install_command(
     _require_expected(opened, folder, root, as_json=as_json)
     target = cert or key.with_name(stem + CERTIFICATE_END)
     _require_own(opened, key, target, passphrase_file)
-    install_answer(folder, opened)
-    write_whole(target, _pem(opened))
+    install_answer(folder, opened, now)
+    write_whole(target, _pem(opened), mode=0o644)
     leaf, told = opened.leaves[0], fingerprint(opened.trust.roots)
     payload = {
         "principal": leaf.principal,

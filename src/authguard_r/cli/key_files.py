@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -21,9 +18,10 @@ from authguard_r.cli.signing_key import (
     passphrase_of,
     read_passphrase,
 )
-from authguard_r.core.errors import EnvironmentFault, RefusedError
+from authguard_r.core.errors import RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.envelope import is_sealed, seal, unseal
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.pkcs11 import TokenKey
 from authguard_r.keys.signer import read_keys
 from authguard_r.keys.trust import read_file
@@ -82,7 +80,7 @@ def public_command(
         if isinstance(one, TokenKey):
             one.close()
     if out is not None:
-        _replace(out, text.encode("ascii"), mode=0o644)
+        write_whole(out.resolve(), text.encode("ascii"), mode=0o644)
     emit({"public": text}, [str(out)] if out is not None else text.splitlines(), as_json=as_json)
     return 0
 
@@ -97,44 +95,11 @@ def _new_passphrase(keyfile: Path, path: Path | None) -> str:
 
 def _write(keyfile: Path, out: Path | None, data: bytes, *, say: str, as_json: bool) -> None:
     target = out or keyfile
-    _replace(target, data, mode=0o600)
-    left = out is not None and out.resolve() != keyfile.resolve()
+    # behind a link, the file is replaced and not the link; its own key, and no other one
+    left = target.resolve() != keyfile.resolve()
+    write_whole(target.resolve(), data, mode=0o600, over=not left)
     lines = [f"{target}: {say}", *([f"{keyfile}: left as it is"] if left else [])]
     emit({"file": str(target), "form": say}, lines, as_json=as_json)
-
-
-def _replace(path: Path, data: bytes, *, mode: int) -> None:
-    """Put a file in a path's place whole or not at all, never readable by others meanwhile.
-
-    Raises:
-        EnvironmentFault: it could not be written; what was there is there.
-    """
-    target = path.resolve()  # behind a link, the file is replaced and not the link
-    try:
-        number, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")  # mode 600
-    except OSError as error:
-        raise _unwritten(path, error) from error
-    try:
-        with os.fdopen(number, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fchmod(number, mode)
-            os.fsync(number)
-        Path(name).replace(target)
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            Path(name).unlink()
-        if isinstance(error, OSError):
-            raise _unwritten(path, error) from error
-        raise
-
-
-def _unwritten(path: Path, error: OSError) -> EnvironmentFault:
-    return EnvironmentFault(
-        f"cannot write `{path}`: {error.strerror}",
-        reason=Reason.STORE_UNAVAILABLE,
-        where=str(path),
-    )
 
 
 def _refused(message: str, path: Path) -> RefusedError:

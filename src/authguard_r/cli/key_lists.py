@@ -6,7 +6,8 @@ How-to: docs/howto/keys.md
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,19 +15,22 @@ from typing import Annotated, Any
 import typer
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
+from msgspec import Struct
 
 from authguard_r.cli.gateway import GATE_SOCKET, GateOption, connect_as, socket_in
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.key_answers import LIST_DAYS
-from authguard_r.cli.out import emit
+from authguard_r.cli.out import emit, emit_error, exit_code
+from authguard_r.cli.signing_key import PassphraseFile, passphrase_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.keys.algorithms import algorithm_of
-from authguard_r.keys.authority import next_lists, revoke, signing_here
-from authguard_r.keys.certificate import Leaf, walk
-from authguard_r.keys.files import install_list
+from authguard_r.keys.certificate import Leaf
+from authguard_r.keys.folder import as_given
+from authguard_r.keys.install import install_list
 from authguard_r.keys.request import fingerprint
 from authguard_r.keys.revocation import RevocationList
+from authguard_r.keys.revoking import renew_lists, revoke
 from authguard_r.keys.trust import (
     ROOT_LISTS,
     Trust,
@@ -53,26 +57,49 @@ def revoke_command(
     serial: Annotated[
         int | None, typer.Option("--serial", help="One certificate by its serial number.")
     ] = None,
+    authority: Annotated[
+        str | None,
+        typer.Option("--authority", help="With --serial: who gave it, when no file here says it."),
+    ] = None,
     days: ListDays = LIST_DAYS,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the authority's machine: sign the next list, with these certificates on it."""
+    """On the authority's machine: sign the next list, with these certificates on it.
+
+    Exit 1 when a file that cannot be read may hold one more of the name's.
+    """
     if (name is None) is (serial is None):
         raise typer.BadParameter("name a principal, or a serial number", param_hint="NAME")
-    lists = revoke(folder, principal=name, serial=serial, now=datetime.now(UTC), days=days)
-    return _tell_lists(folder, lists, as_json=as_json)
+    if authority is not None and serial is None:
+        raise typer.BadParameter("it goes with a serial number", param_hint="--authority")
+    done = revoke(
+        folder,
+        principal=name,
+        serial=serial,
+        authority=authority,
+        now=datetime.now(UTC),
+        days=days,
+        passphrase=passphrase_of(passphrase_file),
+    )
+    return _tell_lists(folder, done.lists, unread=done.unread, as_json=as_json)
 
 
 def lists_command(
-    folder: FolderArgument, days: ListDays = LIST_DAYS, as_json: JsonFlag = False
+    folder: FolderArgument,
+    days: ListDays = LIST_DAYS,
+    passphrase_file: PassphraseFile = None,
+    as_json: JsonFlag = False,
 ) -> int:
     """On the authority's machine: sign every list anew before it goes stale."""
-    dead: dict[str, set[int]] = {name: set() for name in signing_here(folder)}
-    lists = next_lists(folder, dead, now=datetime.now(UTC), days=days)
-    return _tell_lists(folder, lists, as_json=as_json)
+    said = passphrase_of(passphrase_file)
+    lists = renew_lists(folder, now=datetime.now(UTC), days=days, passphrase=said)
+    return _tell_lists(folder, lists, unread=(), as_json=as_json)
 
 
-def _tell_lists(folder: Path, lists: dict[str, RevocationList], *, as_json: bool) -> int:
+def _tell_lists(
+    folder: Path, lists: dict[str, RevocationList], *, unread: tuple[Path, ...], as_json: bool
+) -> int:
     told: list[dict[str, Any]] = [
         {
             "file": str(folder / "revocations" / f"{name}.json"),
@@ -88,12 +115,14 @@ def _tell_lists(folder: Path, lists: dict[str, RevocationList], *, as_json: bool
         f"until {item['next_update']}"
         for item in told
     ]
-    emit(
-        {"lists": told},
-        [*lines, "bring them to every machine: authguard revocations install"],
-        as_json=as_json,
-    )
-    return 0
+    lines += ["bring them to every machine: authguard revocations install"]
+    lines += [
+        f"CANNOT READ {path}: what it gave may still hold; "
+        "`--serial` with `--authority` needs no file"
+        for path in unread
+    ]
+    emit({"lists": told, "unread": [str(path) for path in unread]}, lines, as_json=as_json)
+    return 1 if unread else 0
 
 
 @app.command("install")
@@ -106,21 +135,69 @@ def install_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Bring newer lists to a gate that runs, and to a trust folder; they are signed, so may you."""
+    """Bring newer lists to a gate that runs, and to a trust folder; they are signed, so may you.
+
+    Each list is brought to each place, whatever becomes of the others; one that a place has already
+    is no fault. What a place refuses is said at the end.
+    """
+    faults: list[_Fault] = []
     told: list[dict[str, Any]] = []
-    data = [read_file(path) for path in files]
+    lists: dict[Path, bytes] = {}
+    for path in files:
+        with _kept(faults, str(path), "nowhere"):
+            lists[path] = read_file(path)
     if gate is not None or trust is None:
-        with connect_as(socket_in(gate, GATE_SOCKET), (ClientRole.OPERATOR,)) as client:
-            told += [{"at": "gate", **client.revocations(item)} for item in data]
-    if trust is not None:
-        told += [{"at": str(trust), **_in_folder(trust, item)} for item in data]
+        where = socket_in(gate, GATE_SOCKET)
+        roles = (ClientRole.OPERATOR,)
+        with _kept(faults, "every list", "gate"), connect_as(where, roles) as client:
+            for path, data in lists.items():
+                with _kept(faults, str(path), "gate"):
+                    told.append({"at": "gate", **client.revocations(data)})
+    for path, data in lists.items():
+        if trust is not None:
+            with _kept(faults, str(path), str(trust)):
+                told.append({"at": str(trust), **_in_folder(trust, data)})
+    return _tell_brought(told, faults, as_json=as_json)
+
+
+class _Fault(Struct, frozen=True, kw_only=True):
+    """A list that a place did not take, and why."""
+
+    file: str
+    at: str
+    error: AuthGuardError
+
+
+@contextmanager
+def _kept(faults: list[_Fault], file: str, at: str) -> Generator[None]:
+    """Keep what goes wrong for the end: the other lists and the other place wait for it."""
+    try:
+        yield
+    except AuthGuardError as error:
+        faults.append(_Fault(file=file, at=at, error=error))
+
+
+def _tell_brought(told: list[dict[str, Any]], faults: list[_Fault], *, as_json: bool) -> int:
+    """Say what each place has now, then what it did not take; the first fault is the exit code."""
     lines = [
         f"{item['at']}: {item['authority']} number {item['number']}, "
         f"{item['serials']} revoked, until {item['next_update']}"
         for item in told
     ]
-    emit({"installed": told}, lines, as_json=as_json)
-    return 0
+    refused = [
+        {"file": f.file, "at": f.at, "code": str(f.error.reason), "message": f.error.message}
+        for f in faults
+    ]
+    if not faults:
+        emit({"installed": told}, lines, as_json=as_json)
+        return 0
+    first = faults[0].error
+    error = {"code": str(first.reason), "message": first.message, "where": first.where}
+    emit({"installed": told, "refused": refused, "error": error}, lines, as_json=as_json)
+    for fault in () if as_json else faults:
+        message = f"{fault.file}, at {fault.at}: {fault.error.message}"
+        emit_error(fault.error.reason, message, fault.error.where, as_json=False, code=0)
+    return exit_code(first)
 
 
 def _in_folder(trust: Path, data: bytes) -> dict[str, Any]:
@@ -140,7 +217,13 @@ def show_command(
     """List who may sign what, for what and until when, what does not hold, how fresh lists are."""
     trust, now = read_trust(folder), wall_now(None)
     paths = [*sorted(folder.glob("keys/*.cert.pem")), *sorted(folder.glob("issued/*.cert.pem"))]
-    found = [_shown(trust, path, now) for path in paths]
+    found: list[dict[str, Any]] = []
+    unread: dict[Path, str] = {}
+    for path in paths:
+        try:
+            found.append(_shown(trust, path, now))
+        except AuthGuardError as error:
+            unread[path] = error.message
     lists = [_freshness(known, now) for known in trust.lists.values()]
     lines = [
         f"{f['principal']:24} {f['role']:16} until {f['until']}  {f['algorithm']}, {_for(f)}"
@@ -153,9 +236,17 @@ def show_command(
         f"{item['serials']} revoked"
         for item in lists
     ]
+    lines += [f"CANNOT READ {path}: {why}" for path, why in unread.items()]
     root = fingerprint(trust.roots)
     lines.append(f"{'root':24} {root}")
-    payload = {"demo": trust.demo, "root": root, "principals": found, "lists": lists}
+    files = [str(path) for path in unread]
+    payload = {
+        "demo": trust.demo,
+        "root": root,
+        "principals": found,
+        "lists": lists,
+        "unread": files,
+    }
     emit(payload, lines, as_json=as_json)
     return 0
 
@@ -165,7 +256,8 @@ def _shown(trust: Trust, path: Path, now: Now) -> dict[str, Any]:
     chains = pairs(read_certificates(path, most=2 * len(ROOT_LISTS)))
     said = [_said(trust, chain, now) for chain in chains]
     leaves, first = [leaf for leaf, _ in said], said[0][0]
-    end = min(leaf.not_valid_after_utc for leaf, _ in chains)
+    above = [certificate for chain in chains for certificate in chain]
+    end = min(certificate.not_valid_after_utc for certificate in (*above, *trust.roots))
     why = next((reason for _, reason in said if reason is not None), None)
     return {
         "principal": first.principal,
@@ -190,8 +282,7 @@ def _said(
     try:
         return trust.identify((leaf, authority), now), None
     except AuthGuardError as error:
-        began = int(chain[0].not_valid_before_utc.timestamp()) * 1000 + _DAY_MS
-        return walk(leaf, authority, roots=trust.roots, now=Now(began, 0)), str(error.reason)
+        return as_given(chain, trust), str(error.reason)
 
 
 def _names(named: Iterable[str] | None) -> list[str] | None:

@@ -22,7 +22,7 @@ from authguard_r.core.identifiers import Digest, PrincipalId, RegionId, RobotId,
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, algorithm_of, generate
 from authguard_r.keys.certificate import Leaf, Role
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.files import write_keys, write_whole
 from authguard_r.keys.request import (
     CONFINED,
     OF_ONE_ROBOT,
@@ -32,7 +32,6 @@ from authguard_r.keys.request import (
     make_request,
     open_request,
 )
-from authguard_r.keys.setup import write_keys
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import ROOT_LISTS, pairs, read_certificates, read_trust
 from authguard_r.site.model import profile_digest
@@ -220,7 +219,8 @@ def _ask(
     path, request = out / f"{name}{KEY_END}", out / f"{name}{REQUEST_END}"
     if path.exists():
         raise EnvironmentFault(
-            f"`{path}` is there already: `keys rotate` makes the next key",
+            f"`{path}` is there already: `keys request --key {path}` asks for its certificate, and "
+            "`keys rotate` makes the next key of a name that has one",
             reason=Reason.STORE_UNAVAILABLE,
             where=str(path),
         )

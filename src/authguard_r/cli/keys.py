@@ -24,6 +24,9 @@ _CHOICES: dict[str, tuple[Algorithm, ...]] = {
     "hybrid": (Algorithm.ED25519, Algorithm.ML_DSA_65),
 }
 
+#: How long a set-up is valid. A root cannot be renewed, and everybody gets the next one anew.
+DEMO_DAYS, ROOT_DAYS = 365, 3_650
+
 app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)
 
 
@@ -46,8 +49,18 @@ def init(
         ),
     ] = str(Algorithm.ED25519),
     authorities: Annotated[
-        str, typer.Option("--authorities", help="With --no-demo: which to certify.")
-    ] = ",".join(AUTHORITIES),
+        str | None,
+        typer.Option("--authorities", help="With --no-demo: which to certify (default: all)."),
+    ] = None,
+    days: Annotated[
+        int | None,
+        typer.Option(
+            "--days",
+            min=2,
+            max=7_300,
+            help=f"How long it is all valid (default: {DEMO_DAYS}; with --no-demo: {ROOT_DAYS}).",
+        ),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Write a root, role authorities, and keys for people, robot gate, estimator and witness.
@@ -59,17 +72,29 @@ def init(
         text = f"expected one of {', '.join(_CHOICES)}, got `{algorithm}`"
         raise typer.BadParameter(text, param_hint="--algorithm")
     if not demo:
-        kinds = _CHOICES[algorithm]
+        if robot:
+            text = "an authority's machine has no robot: a gate asks for its certificate itself"
+            raise typer.BadParameter(text, param_hint="--robot")
+        named = ",".join(AUTHORITIES) if authorities is None else authorities
         return init_authorities(
-            folder, site=site, authorities=authorities, algorithms=kinds, as_json=as_json
+            folder,
+            site=site,
+            authorities=named,
+            algorithms=_CHOICES[algorithm],
+            days=days or ROOT_DAYS,
+            as_json=as_json,
         )
+    if authorities is not None:
+        text = "everything lies in one folder here: with --no-demo"
+        raise typer.BadParameter(text, param_hint="--authorities")
     model = load_site(site or bundled_hospital() / "site.yaml")
     rids = tuple(RobotId(name) for name in robot or [next(iter(model.robots))])
     unknown = [rid for rid in rids if rid not in model.robots]
     if unknown:
         raise typer.BadParameter(f"the site has no robot `{unknown[0]}`", param_hint="--robot")
     members, now = demo_members(model, rids), datetime.now(UTC)
-    init_folder(folder, members, now=now, algorithms=_CHOICES[algorithm])
+    kinds = _CHOICES[algorithm]
+    init_folder(folder, members, now=now, days=days or DEMO_DAYS, algorithms=kinds)
     names = sorted(path.name.removesuffix(".cert.pem") for path in folder.glob("keys/*.cert.pem"))
     lines = [
         f"{folder}: a demo trust set-up (its root says so; a real gate refuses it)",

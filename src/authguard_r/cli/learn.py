@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,34 +12,22 @@ import msgspec
 import typer
 
 from authguard_r.audit.verify import Row
+from authguard_r.cli.exported import exported_rows
 from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
+from authguard_r.cli.logs import open_log
 from authguard_r.cli.out import emit
-from authguard_r.core.encoding import unb64
-from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.parse import read_json
 from authguard_r.onboarding.evidence import Evidence, Unused, gather
 from authguard_r.onboarding.pages import Proposals, propose, ranked, row_line
-from authguard_r.store.sqlite import read_rows
 
 _SQLITE = b"SQLite format 3\x00"
-#: Longest line of an exported log, in bytes.
-_MAX_LINE = 1 << 21
 #: How many reasons for leaving records out are printed; `--json` has every one.
 _SHOWN = 10
 WARNING = (
     "WARNING what anybody made the planner do during this run is in the proposal; nothing of it "
     "is trusted, signed or in force"
 )
-
-
-class _Exported(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One line of an exported log."""
-
-    seq: int
-    record: str
-    sealed: str
-    link: str
 
 
 def learn_command(
@@ -62,46 +51,25 @@ def learn_command(
     """Propose a binding and a mission from a shadow run; whether it is signed, a person says."""
     model = load_site(site, trust)
     bound = None if binding is None else read_binding(binding, model)
-    evidence = gather(_rows(log), model)
+    with _rows(log) as rows:
+        evidence = gather(rows, model)
     proposals = propose(evidence, model, bound)
     _write(out, proposals.files)
     emit(_payload(evidence, proposals, out), _lines(evidence, proposals, out), as_json=as_json)
     return 0
 
 
-def _rows(path: Path) -> Iterable[Row]:
+@contextmanager
+def _rows(path: Path) -> Iterator[Iterable[Row]]:
+    """Yield the rows of an exported log, or of a store, told by the gate that holds it."""
     if path.is_file():
         with path.open("rb") as file:
-            if file.read(len(_SQLITE)) != _SQLITE:
-                return _exported(path)
-    return read_rows(path)
-
-
-def _exported(path: Path) -> Iterator[Row]:
-    """Yield the rows of an exported log.
-
-    Raises:
-        MalformedError: a line that is no row, with its number.
-    """
-    with path.open("rb") as file:
-        for number in range(1, 1 << 62):
-            line, where = file.readline(_MAX_LINE + 1), f"{path}:{number}"
-            if not line:
-                return
-            if len(line) > _MAX_LINE:
-                message = f"expected a line of at most {_MAX_LINE} bytes"
-                raise MalformedError(message, where=where, reason=Reason.INPUT_TOO_LARGE)
-            yield _row(line, where)
-
-
-def _row(line: bytes, where: str) -> Row:
-    try:
-        said = msgspec.convert(read_json(line.decode("utf-8"), where=where), _Exported)
-    except (msgspec.ValidationError, UnicodeDecodeError) as error:
-        message = 'expected {"seq": ..., "record": ..., "sealed": ..., "link": ...}'
-        raise MalformedError(message, where=where) from error
-    record, sealed = said.record.encode(), said.sealed.encode()
-    return Row(said.seq, record, sealed, unb64(said.link, where=f"{where}: link"))
+            is_store = file.read(len(_SQLITE)) == _SQLITE
+        if not is_store:
+            yield exported_rows(path)
+            return
+    with open_log(path) as held:
+        yield held.rows
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A log to read: from the store's file, or page by page from the gate that holds it."""
+"""A log to read: an export's, a store's, or page by page from the gate that holds the store."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from typing import Any
 
 from msgspec import Struct
 
+from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
 from authguard_r.audit.verify import Row
+from authguard_r.cli.exported import exported_note, exported_rows, is_export
 from authguard_r.cli.gateway import Beside, beside_store, connect_as, told_of
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import EnvironmentFault, MalformedError
-from authguard_r.store.sqlite import read_rows
+from authguard_r.store.sqlite import read_held, read_rows
 from authguard_r.wire.messages import ClientRole
 
 #: Records that are asked for at a time.
@@ -29,30 +31,39 @@ class Log(Struct, frozen=True):
         rows: its rows in order; nobody needs to trust them.
         gate: who tells them, None: they are the file's.
         status: that gate's, as it said it.
+        notes: checkpoints that lie with the rows, the newest first; nobody has looked at them.
     """
 
     rows: Iterator[Row]
     gate: Beside | None = None
     status: dict[str, Any] = {}
+    notes: tuple[bytes, ...] = ()
 
 
 @contextmanager
 def open_log(store: Path) -> Iterator[Log]:
-    """Yield the log of a store, told by the gate that holds it when one answers.
+    """Yield the log of a store, told by the gate that holds it when one answers, or an export's.
 
     Raises:
+        MalformedError: an export whose last line is none of one.
         StoreError: the file cannot be read; a gate that holds it and does not answer is named.
         AuthGuardError: the gate does not let this user read.
     """
+    if is_export(store):
+        note = exported_note(store)
+        yield Log(exported_rows(store), notes=() if note is None else (note,))
+        return
     beside = beside_store(store)
     client = None if beside is None else _reader(Path(beside.socket))
     if client is None:
-        with told_of(beside, store):
-            yield Log(read_rows(store))
+        with told_of(beside, store, tried=True):
+            held = [read_held(store, CHECKPOINT, key) for key in (NEWEST, WITNESSED)]
+            yield Log(read_rows(store), notes=tuple(filter(None, dict.fromkeys(held))))
         return
     with client:
         status = client.status()
-        yield Log(_told(client, status), beside, status)
+        notes = [str(note).encode() for note in (status.get("anchor") or {}).get("notes", ())]
+        yield Log(_told(client, status), beside, status, tuple(notes))
 
 
 def _reader(path: Path) -> GateClient | None:

@@ -14,7 +14,7 @@ import msgspec
 import typer
 
 from authguard_r.approvals import Selection
-from authguard_r.assembly import folder_signer, offline_gate
+from authguard_r.assembly import folder_signer
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import Orders, running_gate
 from authguard_r.cli.inputs import (
@@ -28,6 +28,7 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission import TokenArgument, app
 from authguard_r.cli.mission_files import beside_token, warn
+from authguard_r.cli.offline import CounterOption, Kept, offline
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.commands import Command, Verb
@@ -84,6 +85,7 @@ def activate_command(
         ),
     ] = None,
     robot: RobotOption = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Take in a signed mission, its next version, or a template's instance; make it active."""
@@ -91,14 +93,8 @@ def activate_command(
     said = _confirmation(token, confirmation)
     if said is None and read_token(data).kind is not Tag.INSTANCE:
         warn("no confirmation lies beside the token: the log will say that none was given")
-    return _manage(
-        store,
-        trust,
-        site,
-        robot,
-        lambda m: m.activate(data, confirmation=said),
-        as_json=as_json,
-    )
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    return _manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
 
 
 def _confirmation(token: Path, named: Path | None) -> bytes | None:
@@ -122,12 +118,14 @@ def _order(verb: Verb) -> Callable[..., int]:
         passphrase_file: PassphraseFile = None,
         robot: RobotOption = None,
         template: TemplateOption = None,
+        counter: CounterOption = None,
         as_json: JsonFlag = False,
     ) -> int:
         signed = signed_order(
             token, trust, template, key, cert, verb=verb, passphrase_file=passphrase_file
         )
-        return _manage(store, trust, site, robot, lambda m: m.command(signed), as_json=as_json)
+        place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+        return _manage(place, lambda m: m.command(signed), as_json=as_json)
 
     order.__doc__ = {
         Verb.REVOKE: "End a mission for good; the next action is refused.",
@@ -155,6 +153,7 @@ def resolve_command(
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     template: TemplateOption = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say, signed, how a release ended that nobody could observe."""
@@ -163,7 +162,8 @@ def resolve_command(
     signed = _command(
         verified, signer, Verb.RESOLVE, ticket=Digest(ticket), outcome=Outcome(outcome)
     )
-    return _manage(store, trust, site, robot, lambda m: m.command(signed), as_json=as_json)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    return _manage(place, lambda m: m.command(signed), as_json=as_json)
 
 
 @app.command("choose")
@@ -182,6 +182,7 @@ def choose_command(
     robot: RobotOption = None,
     template: TemplateOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Choose, signed, one of the rows that a grant offers; at a terminal it shows it and asks."""
@@ -206,7 +207,8 @@ def choose_command(
     )
     signed = sign_object(selection, Tag.SELECTION, signer)
     said = [] if asks else shown
-    return _manage(store, trust, site, robot, lambda m: m.select(signed), said, as_json=as_json)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    return _manage(place, lambda m: m.select(signed), said, as_json=as_json)
 
 
 def _row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[str]:
@@ -224,17 +226,14 @@ def _row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[st
 
 
 def _manage(
-    store: Path,
-    trust: Path,
-    site: Path,
-    robot: str | None,
+    place: Kept,
     act: Callable[[Orders], Standing],
     said: Iterable[str] = (),
     *,
     as_json: bool,
 ) -> int:
     """Have one order carried out, by the gate that holds the store or on the store itself."""
-    standing = managed(store, trust, site, robot, act=act)
+    standing = managed(place, act)
     payload = {"standing": msgspec.to_builtins(standing), "status": str(standing.status)}
     lines = [*said, f"{standing.mid} version {standing.version}: {standing.status}"]
     lines += [f"  open release {release.ticket}" for release in standing.open]
@@ -242,23 +241,17 @@ def _manage(
     return 0
 
 
-def managed(
-    store: Path, trust: Path, site: Path, robot: str | None, *, act: Callable[[Orders], T]
-) -> T:
+def managed(place: Kept, act: Callable[[Orders], T]) -> T:
     """Do an act of management, by the gate that holds the store or on the store itself.
 
     Raises:
         AuthGuardError: it was refused, or the store is held and its gate does not answer.
     """
-    rid = gate_robot(trust, robot)
-    with running_gate(store, trust, rid) as running:
+    with running_gate(place.store, place.trust, gate_robot(place.trust, place.robot)) as running:
         if running is not None:
             return act(running)
-        gate = offline_gate(trust, load_site(site, trust), rid=rid, store=store)
-        try:
+        with offline(place) as gate:
             return act(gate.management)
-        finally:
-            gate.close()
 
 
 def _opened(token: Path, trust: Path, template: Path | None) -> VerifiedMission:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.anchoring.outside import BY_COUNTER, BY_STORE
 from authguard_r.assembly import folder_signer
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, Reading, connected
@@ -25,6 +26,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import FileSigner
 
+#: What else than a witness knows how far the log had come.
+_PLACES = {BY_COUNTER: "the counter", BY_STORE: "its own checkpoint"}
 #: Who gives the order in a one-folder set-up.
 _DEMO = "operator-1"
 
@@ -40,7 +43,9 @@ class _Anchor(msgspec.Struct):
     number: int
     why: str = ""
     message: str = ""
+    by: str = BY_COUNTER
     counted: int | None = None
+    opened: int | None = None
 
 
 class _Status(msgspec.Struct):
@@ -119,12 +124,15 @@ def _signed(status: _Status, signer: FileSigner) -> bytes:
 def _lines(status: _Status) -> list[str]:
     anchor, log, mission = status.anchor, status.log, status.mission
     seen = "nothing that can be read" if anchor.counted is None else f"{anchor.counted} records"
+    place = _PLACES.get(anchor.by, f"the witness `{anchor.by}`")
+    opened = "" if anchor.opened is None else f"had {anchor.opened} when this gate started, "
+    now = f"{opened}has {log.size} now" if opened else f"has {log.size}"
     held = "no mission is active in it"
     if mission is not None:
         held = f"mission {mission.get('mid')} version {mission.get('version')} is active in it"
     return [
         f"{status.robot}: {anchor.message} ({anchor.why})",
-        f"  the counter saw {seen}; this store has {log.size}",
+        f"  {place} saw {seen}; this store {now}",
         f"  this store: {anchor.store}",
         f"  ends with:  {log.head}",
         f"  {held}: it stays suspended until it is resumed",

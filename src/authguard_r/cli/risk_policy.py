@@ -36,6 +36,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import read_token
 from authguard_r.keys.certificate import read_claims
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
@@ -77,7 +78,7 @@ def make(
     """Write a policy to edit and sign, with every action type of the site in it."""
     types = ", ".join(f"{name}: 5" for name in sorted(load_site(site).vocabulary))
     text = f"organization: {organization}\nversion: {version}\npolicy:\n  types: {{{types}}}\n"
-    out.write_text(text + _DEFAULTS, encoding="utf-8")
+    write_whole(out, (text + _DEFAULTS).encode("utf-8"))
     policy = _read(out, load_site(site))
     emit(_payload(policy, out), [*card(policy), str(out)], as_json=as_json)
     return 0

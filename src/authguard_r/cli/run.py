@@ -14,6 +14,7 @@ import typer
 from msgspec import Struct
 
 from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate
+from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
@@ -28,6 +29,7 @@ from authguard_r.cli.inputs import (
     read_input,
     wall_now,
 )
+from authguard_r.cli.offline import CounterOption, Kept, counter_of, offline
 from authguard_r.cli.out import emit, exit_code, report_code, report_lines
 from authguard_r.compile.card import compare
 from authguard_r.compile.change import smallest_change, to_draft
@@ -143,6 +145,7 @@ def run_command(
         str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
     ] = None,
     now: NowOption = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
@@ -155,17 +158,19 @@ def run_command(
     if safety is not None:
         config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)
     path = store or Path(tempfile.mkdtemp(prefix="authguard-")) / "robot.db"
-    simulation = simulate(
-        trust,
-        model,
-        read_binding(binding, model),
-        rid=rid,
-        start_ms=max(instant.utc_ms, store_clock(path).wall_ms() if now is None else 0),
-        store=path,
-        state=_world(model, rid, at, holding),
-        faults=Faults(drift_to=RegionId(drift_to) if drift_to else None),
-        safety=config,
-    )
+    with told_of(beside_store(path), path):
+        simulation = simulate(
+            trust,
+            model,
+            read_binding(binding, model),
+            rid=rid,
+            start_ms=max(instant.utc_ms, store_clock(path).wall_ms() if now is None else 0),
+            store=path,
+            state=_world(model, rid, at, holding),
+            faults=Faults(drift_to=RegionId(drift_to) if drift_to else None),
+            safety=config,
+            counter=counter_of(path, counter),
+        )
     try:
         _activate(simulation, read_file(token))
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
@@ -186,19 +191,16 @@ def stop_command(
     site: SiteOption,
     store: Annotated[Path, typer.Option("--store", help="The robot's store.")],
     robot: Annotated[str | None, typer.Option("--robot", help="Which gate.")] = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Record an operator's stop: the active mission goes on only after a signed `resume`.
 
     It reaches no robot: the symbolic one lives only while `run` does.
     """
-    from authguard_r.assembly import offline_gate
-
-    gate = offline_gate(trust, load_site(site, trust), rid=gate_robot(trust, robot), store=store)
-    try:
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    with offline(place) as gate:
         gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
-    finally:
-        gate.close()
     emit(
         {"stopped": True},
         ["stopped; the mission goes on after `authguard mission resume`"],

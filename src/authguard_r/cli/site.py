@@ -22,6 +22,7 @@ from authguard_r.cli.inputs import (
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.errors import MalformedError
+from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.change import changes, line_of
 from authguard_r.site.check import faults, unreviewed
@@ -85,7 +86,7 @@ def show(
     """Show regions, objects, robots and words of a site model."""
     model = load_site(site)
     if svg is not None:
-        svg.write_text(picture(model), encoding="utf-8")
+        write_whole(svg, picture(model).encode("utf-8"))
     payload = {
         "site": model.id,
         "version": model.version,
@@ -133,7 +134,7 @@ def sign(
     model = load_site(site)
     token = sign_site(model, open_signer(key, cert, passphrase_file), where=str(site))
     target = out or site.with_suffix(".token")
-    target.write_bytes(token)
+    write_whole(target, token)
     payload = {"file": str(target), "digest": site_digest(model)}
     emit(payload, [f"{target}", f"digest {site_digest(model)}"], as_json=as_json)
     return 0
@@ -211,7 +212,7 @@ def nav2_map(
 
 
 def _written(proposal: Proposal, file: Path, out: Path, *, as_json: bool) -> int:
-    out.write_text(to_yaml(proposal, where=str(file)), encoding="utf-8")
+    write_whole(out, to_yaml(proposal, where=str(file)).encode("utf-8"))
     model = proposal.site
     payload = {
         "file": str(out),

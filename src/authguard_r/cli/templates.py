@@ -23,6 +23,7 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn
+from authguard_r.cli.offline import CounterOption, Kept
 from authguard_r.cli.orders import (
     ORDER_MS,
     CertOption,
@@ -235,6 +236,7 @@ def admit_command(
     site: SiteOption,
     store: StoreOption,
     robot: RobotOption = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Let a robot take a signed template in; its scheduler may fill it from then on."""
@@ -246,7 +248,8 @@ def admit_command(
     def act(orders: Orders) -> TemplateStanding:
         return orders.template(data, confirmation=said)
 
-    return _manage(store, trust, site, robot, act, as_json=as_json)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    return _manage(place, act, as_json=as_json)
 
 
 @app.command("withdraw")
@@ -259,6 +262,7 @@ def withdraw_command(
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
+    counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """End a template for good, signed: no mission of it any more, the active one included."""
@@ -273,20 +277,13 @@ def withdraw_command(
         expires_ms=wall_now(None).utc_ms + ORDER_MS,
     )
     signed = sign_object(command, Tag.COMMAND, signer)
-    return _manage(store, trust, site, robot, lambda m: m.template(signed), as_json=as_json)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    return _manage(place, lambda m: m.template(signed), as_json=as_json)
 
 
-def _manage(
-    store: Path,
-    trust: Path,
-    site: Path,
-    robot: str | None,
-    act: Callable[[Orders], TemplateStanding],
-    *,
-    as_json: bool,
-) -> int:
+def _manage(place: Kept, act: Callable[[Orders], TemplateStanding], *, as_json: bool) -> int:
     """Have one act about a template done, by the gate that holds the store or on the store."""
-    held = managed(store, trust, site, robot, act=act)
+    held = managed(place, act)
     status = "withdrawn" if held.withdrawn else "here"
     line = f"{held.template}: {status}, {held.used} of {held.instances} missions made"
     emit({"template": msgspec.to_builtins(held), "status": status}, [line], as_json=as_json)

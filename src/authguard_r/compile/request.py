@@ -51,7 +51,7 @@ def brief(question: Question, opened: Shown, site: Site | None = None) -> list[s
     return [
         f"{question.counter:4}  {action_line(opened.scope, site)}",
         f"      {_mission(question)}, risk {question.risk} ({_tier(opened)})",
-        f"      {_people(question)} people, {_left(question)}{_worth(question)}",
+        f"      {_head(question)}",
         *(f"      {_answer(answer)}" for answer in question.answers),
         f"      may answer: {', '.join(question.roles) or 'NOBODY'}; not {question.issuer}",
     ]
@@ -121,6 +121,13 @@ def _left(question: Question) -> str:
     if question.left_ms < 0:
         return "RAN OUT"
     return f"{spoken.duration(question.left_ms // 1_000 * 1_000)} left"
+
+
+def _head(question: Question) -> str:
+    """Return how far a request is; a denial outweighs however many are behind it."""
+    if question.denied:
+        return f"DENIED: the next proposal closes it; {_left(question)}"
+    return f"{_people(question)} people, {_left(question)}{_worth(question)}"
 
 
 def _worth(question: Question) -> str:

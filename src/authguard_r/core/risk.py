@@ -13,6 +13,7 @@ from enum import IntEnum
 from authguard_r.core.action import Action
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.facts import SiteFacts
+from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState
@@ -29,7 +30,10 @@ class Tier(IntEnum):
 def rho(
     action: Action, policy: RiskPolicy, *, state: AttestedState | None, facts: SiteFacts, now: Now
 ) -> int:
-    """Return how risky the action is here: 0 for not at all, no upper end."""
+    """Return how risky the action is here: 0 for not at all.
+
+    It ends where the integers of the encoding do; no threshold lies beyond.
+    """
     score = policy.types.get(action.type, policy.otherwise)
     score += _region_weight(action, policy, facts)
     if action.object is not None:
@@ -44,7 +48,7 @@ def rho(
         finding = guard_finding(condition.guard, state, facts.robot.rid, now)
         if finding is None or finding.reason.startswith("STATE_"):
             score += condition.weight
-    return score
+    return min(score, MAX_INTEGER)
 
 
 def tier_of(policy: RiskPolicy, score: int) -> Tier:

@@ -12,6 +12,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from authguard_r.anchoring.places import WitnessPlace, require_place
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Count, Positive, RobotId
@@ -37,8 +38,8 @@ class Peer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     roles: Annotated[tuple[ClientRole, ...], Meta(min_length=1)]
 
 
-class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One gate's configuration.
+class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """One gate's configuration. What has a default is not written where it has that value.
 
     Args:
         robot: the robot it is for.
@@ -56,6 +57,11 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         disclosure: how much of a refusal a planner is told.
         fold_ms: repeats of one refusal within this time become one counted record.
         reserve_bytes: disk kept free for outcomes, stops and management.
+        checkpoint_records: a checkpoint is made after so many records.
+        checkpoint_ms: a checkpoint is made after so long, if anything is new.
+        witnesses: who cosign the checkpoints, each once.
+        quorum: so many of them make one `witnessed`; 0 where there are none.
+        witness_ms: nothing was witnessed for so long, though there is something: an alert; 0: none.
     """
 
     robot: RobotId
@@ -70,6 +76,11 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     disclosure: Disclosure
     fold_ms: Count
     reserve_bytes: Count
+    checkpoint_records: Annotated[int, Meta(ge=1, le=1_000_000)] = 256
+    checkpoint_ms: Annotated[int, Meta(ge=100, le=86_400_000)] = 60_000
+    witnesses: Annotated[tuple[WitnessPlace, ...], Meta(max_length=16)] = ()
+    quorum: Count = 0
+    witness_ms: Count = 600_000
 
 
 def default_config(robot: RobotId, peers: tuple[Peer, ...], mode: Mode) -> GateConfig:
@@ -114,6 +125,7 @@ def open_gate_config(data: bytes, *, verifier: Verifier, now: Now, robot: RobotI
                 where=f"gate.peers[{number}].roles",
                 reason=Reason.SCHEMA_INVALID,
             )
+    require_witnesses(config)
     if config.robot != robot:
         raise MalformedError(
             f"expected the configuration of `{robot}`, got `{config.robot}`'s",
@@ -121,6 +133,26 @@ def open_gate_config(data: bytes, *, verifier: Verifier, now: Now, robot: RobotI
             reason=Reason.ROBOT_MISMATCH,
         )
     return config
+
+
+def require_witnesses(config: GateConfig, *, where: str = "gate") -> None:
+    """Refuse a quorum that cannot come together, and one witness that counts twice.
+
+    Raises:
+        MalformedError: either, or a witness that cannot be asked.
+    """
+    keys = [
+        require_place(place, where=f"{where}.witnesses[{number}]")
+        for number, place in enumerate(config.witnesses)
+    ]
+    apart = len({key.name for key in keys}) == len({key.public for key in keys}) == len(keys)
+    least = 1 if keys else 0
+    if not apart or not least <= config.quorum <= len(keys):
+        raise MalformedError(
+            "expected witnesses with names and keys of their own, and a quorum among them",
+            where=f"{where}.quorum" if apart else f"{where}.witnesses",
+            reason=Reason.SCHEMA_INVALID,
+        )
 
 
 def roles_of(config: GateConfig, uid: int) -> frozenset[ClientRole]:

@@ -216,8 +216,6 @@ class Desk:
         """Do an act of management and look at every lease: it may have ended some."""
         try:
             done = self._acts[order.act](order)
-            if self.rescues is not None:
-                self.rescues.ordered(order.act, done)
         finally:
             self._motions.look()
         if isinstance(done, VerifiedApproval):

@@ -23,6 +23,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.mends import mends_of
 from authguard_r.report import PROPOSAL
+from authguard_r.rescue_log import EMERGENCY
 
 #: How long the proposed next version would be valid, in milliseconds.
 _VALID_MS = 1_800_000
@@ -31,7 +32,12 @@ _DRAFT = "authguard explain {} --draft FILE"
 
 
 def explanation(
-    seq: int, record: Record, sealed: dict[str, Sealed], *, mission: Mission | None
+    seq: int,
+    record: Record,
+    sealed: dict[str, Sealed],
+    *,
+    mission: Mission | None,
+    how: str | None = None,
 ) -> dict[str, Any]:
     """Return what a record says, as data and as lines for people.
 
@@ -40,12 +46,13 @@ def explanation(
         record: the record.
         sealed: the values beside it; those that were destroyed are simply not told.
         mission: the mission that it names, when that is at hand.
+        how: the command that writes the smallest change; None: the one for a running gate.
 
     Raises:
         MalformedError: the values are not what such a record holds: it is damaged.
     """
     try:
-        return _explained(seq, record, sealed, mission)
+        return _explained(seq, record, sealed, mission, how or _DRAFT.format(seq))
     except (AttributeError, LookupError, StopIteration, TypeError, ValueError) as error:
         raise MalformedError(
             f"expected what such a record holds: {error}", where=f"record {seq}"
@@ -53,41 +60,50 @@ def explanation(
 
 
 def _explained(
-    seq: int, record: Record, sealed: dict[str, Sealed], mission: Mission | None
+    seq: int, record: Record, sealed: dict[str, Sealed], mission: Mission | None, how: str
 ) -> dict[str, Any]:
     opened = record.open
     values = {name: item.value for name, item in sealed.items()}
     action = values.get("action")
-    who = opened.get("client") or opened.get("by") or _planner(action) or NONE
+    who = who_of(record, values)
     why = _why(opened, values)
     change = _change(record, values, mission)
     influences = values.get("influences", [])
-    mends = mends_of(opened.get("reasons") or ())
+    emergency = opened.get("what") == EMERGENCY
+    mends = mends_of(opened.get("reasons") or (), emergency=emergency)
+    what = f"emergency {values.get('capability')}" if emergency else _what(record, action)
     return {
         "seq": seq,
         "kind": record.kind,
         "time": to_timestamp(record.link.time_ms),
         "decision": record.link.decision,
-        "what": _what(record, action),
+        "what": what,
         "who": who,
         "why": why,
         "influenced_by": influences,
         "mends": mends,
         "smallest_change": change,
-        "text": _lines(seq, record, who=who, what=_what(record, action), why=why)
+        "text": _lines(seq, record, who=who, what=what, why=why)
         + [f"  influenced by {i['channel']}: `{i['value']}`" for i in influences]
         + [f"  to do: {mend}" for mend in mends]
-        + ([f"  a signed next version could allow it: {_DRAFT.format(seq)}"] if change else []),
+        + ([f"  a signed next version could allow it: {how}"] if change else []),
     }
 
 
+def who_of(record: Record, values: dict[str, Any]) -> str:
+    """Return whose act a record is of, as the channel named them; `-`: it does not say."""
+    said = record.open.get("client") or record.open.get("by") or _planner(values.get("action"))
+    return str(said or NONE)
+
+
 def is_refused_proposal(record: Record) -> bool:
-    """True for what a planner proposed and a gate refused, with or without a decision.
+    """True for what a planner proposed, or called as an emergency, and a gate refused.
 
     Whoever asks why the robot does not move does not mean an order or a question of their own.
     """
     if record.kind == "refusal":
-        return record.link.decision == "reject" and record.open.get("what") == PROPOSAL
+        asked = record.open.get("what") in {PROPOSAL, EMERGENCY}
+        return record.link.decision == "reject" and asked
     if record.kind != "decision":
         return False
     safety = record.open.get("safety")
@@ -101,7 +117,8 @@ def no_record(seq: int | None) -> RefusedError:
     Args:
         seq: which was asked for; None: the last refused proposal.
     """
-    told = "no proposal was refused lately: name a record" if seq is None else "no such record"
+    lately = "no proposal and no emergency was refused lately: name a record"
+    told = lately if seq is None else "no such record"
     return RefusedError(told, reason=Reason.VALUE_OUT_OF_RANGE, where="seq")
 
 
@@ -126,6 +143,8 @@ def _named(record: Record) -> str:
         return ", ".join(map(str, opened.get("reasons", []))) or record.kind
     if record.kind == "outcome" and "ticket" in opened:
         return f"release {opened['ticket']}"
+    if record.kind == "management" and "verdict" in opened:
+        return f"{opened['verdict']} request {opened['counter']} of mission {mid}"
     if record.kind == "management" and mid != NONE:
         version = f" version {opened['version']}" if "version" in opened else ""
         return f"mission {mid}{version}"

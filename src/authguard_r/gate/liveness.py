@@ -147,6 +147,10 @@ class Liveness:
         if role not in self._silent:
             return
         self._silent.discard(role)
+        self.end(what)
+
+    def end(self, what: str) -> None:
+        """Say of an alert that what it told of is over."""
         for number, told in enumerate(self.alerts):
             if told["what"] == what:
                 self.alerts[number] = {**told, "over": True}

@@ -150,13 +150,65 @@ _ANSWERS: tuple[tuple[str, tuple[Reason, ...]], ...] = (
     ),
 )
 MENDS: dict[Reason, str] = {reason: mend for mend, reasons in _ANSWERS for reason in reasons}
+#: Of an emergency, where a mission's answer would mislead: no mission grants or allows one.
+_EMERGENCY: tuple[tuple[str, tuple[Reason, ...]], ...] = (
+    (
+        "the policy names no such capability: authguard emergency policy show",
+        (Reason.ACTION_OUT_OF_SCOPE, Reason.CAPABILITY_EXCEEDED),
+    ),
+    (
+        "the capability is for other callers: a safety officer signs who may call it",
+        (Reason.ROLE_DENIED,),
+    ),
+    (
+        "its guards do not hold: there is no such emergency now, and nothing is to be done",
+        (Reason.GUARD_FALSE,),
+    ),
+    (
+        "the robot is not where it works: it has to be brought out of there by hand",
+        (Reason.OUTSIDE_REGIONS,),
+    ),
+    (
+        "it does not work without an active mission: a safety officer signs what works without",
+        (Reason.NO_ACTIVE_MISSION,),
+    ),
+    (
+        "an operator's stop stands: look why, then authguard resume, or activate a mission",
+        (Reason.STOPPED,),
+    ),
+    (
+        "used as often in an hour as the policy allows: find out why it is called so often",
+        (Reason.RATE_EXCEEDED,),
+    ),
+    (
+        "another was under way, or the robot did not stand in time: call again",
+        (Reason.BUSY,),
+    ),
+    (
+        "a safety officer signs one for this robot as it is: authguard emergency policy make",
+        (
+            Reason.EXPIRED,
+            Reason.NOT_YET_VALID,
+            Reason.ROBOT_MISMATCH,
+            Reason.PROFILE_MISMATCH,
+            Reason.SITE_MISMATCH,
+            Reason.CERTIFICATE_REVOKED,
+        ),
+    ),
+)
+EMERGENCY_MENDS: dict[Reason, str] = {
+    **MENDS,
+    **{reason: mend for mend, reasons in _EMERGENCY for reason in reasons},
+}
 
 
-def mends_of(codes: Iterable[object]) -> list[str]:
+def mends_of(codes: Iterable[object], *, emergency: bool = False) -> list[str]:
     """Return what can be done about these reasons, each once; a code that is none says nothing.
 
     Args:
         codes: as a record holds them.
+        emergency: it was an emergency that was refused.
     """
-    known = {str(reason): mend for reason, mend in MENDS.items()}
+    mends = EMERGENCY_MENDS if emergency else MENDS
+    known = {str(reason): mend for reason, mend in mends.items()}
     return list(dict.fromkeys(known[str(code)] for code in codes if str(code) in known))

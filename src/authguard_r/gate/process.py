@@ -23,7 +23,6 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from authguard_r.anchoring.anchor import WHAT
 from authguard_r.anchoring.counter import Counter
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.assembly import Gate, assemble
@@ -46,6 +45,7 @@ from authguard_r.gate.recovery import Recovery
 from authguard_r.gate.roads import open_road
 from authguard_r.gate.service import Service
 from authguard_r.gate.streams import Streams
+from authguard_r.gate.vigil import notary_policy
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust
 from authguard_r.normalize import Binder
@@ -177,7 +177,7 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
             advance=_advance(parts),
         )
         service.view.free_bytes = partial(_free_bytes, parts.store.absolute().parent)
-        _tell_put_back(gate, service)
+        service.vigil.begin()
         _rescue(parts, service, mounted.remote, held)
         keeper = _keeper(parts, held)
         if keeper is not None:
@@ -199,14 +199,6 @@ def _rescue(
     held.callback(journal.close)
     road = open_road(service, parts.emergency.policy, journal, controller=remote)
     held.callback(road.log.flush)
-
-
-def _tell_put_back(gate: Gate, service: Service) -> None:
-    """Tell whoever runs the machine, and `status`, of a store that was put back."""
-    if gate.anchor.why is not None:
-        told = {"why": str(gate.anchor.why)}
-        service.liveness.tell(WHAT, told)
-        service.notices.publish({"event": "alert", "what": WHAT, **told})
 
 
 def _hold(parts: Parts) -> Lock:
@@ -248,7 +240,8 @@ def _assemble(parts: Parts, mounted: _Mounted) -> Gate:
         marks={"mode": str(Mode.SHADOW)} if parts.config.mode is Mode.SHADOW else {},
         risk=() if parts.risk is None else (parts.risk.policy.policy,),
         counter=parts.counter,
-        signer=None if parts.counter is None else parts.signer,
+        signer=parts.signer,
+        notary=notary_policy(parts.config),
     )
 
 

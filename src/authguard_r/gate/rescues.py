@@ -19,9 +19,8 @@ from msgspec import Struct
 from authguard_r.core.errors import EnvironmentFault, RefusedError
 from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.identifiers import Identifier
-from authguard_r.core.lifecycle import Status
 from authguard_r.core.reasons import Reason
-from authguard_r.core.standing import Standing
+from authguard_r.core.standing import Outcome
 from authguard_r.emergency.policy import Caller
 from authguard_r.enforcement import Enforcer
 from authguard_r.gate.clients import Client
@@ -29,16 +28,22 @@ from authguard_r.gate.controller import RemoteController
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.motions import Motions
 from authguard_r.rescue import Call, Relief, Rescue, Rescued
-from authguard_r.wire.messages import Act, ClientRole, Emergency
+from authguard_r.wire.messages import ClientRole, Emergency
 
-#: Answers that are told again.
+#: Answers that are told again, to each user in each role: nobody's calls push out another's.
 _MOST_KEPT = 256
 #: Users whose false calls are counted; a further one takes the place of the oldest.
 _MOST_COUNTED = 1_024
 #: What waits in the journal is tried this often, in milliseconds.
 FLUSH_MS = 100
+#: What the gate calls and could not begin is called again after so long, in milliseconds.
+AGAIN_MS = 1_000
 _GATE = Identifier("gate")
 _CALLERS = {ClientRole.PLANNER: Caller.PLANNER, ClientRole.OPERATOR: Caller.OPERATOR}
+
+
+#: What became of calls by client and key; None: it is under way.
+_Answers = dict[tuple[Identifier, str], dict[str, Any] | None]
 
 
 class _Asked(Struct, frozen=True):
@@ -87,24 +92,26 @@ class Rescues:
         self._publish = publish
         self._waiting: _Waiting | None = None
         self._running: _Asked | None = None
-        self._answers: OrderedDict[tuple[Identifier, str], dict[str, Any] | None] = OrderedDict()
+        self._answers: dict[tuple[str, ClientRole], _Answers] = {}
         self._false: OrderedDict[str, int] = OrderedDict()
         self._met: set[Identifier] = set()
+        self._failed: dict[Identifier, int] = {}
         self._flushed_ms = 0
         #: true once the gate ends: nothing is begun any more
         self.closing: Callable[[], bool] = lambda: False
 
-    # what the gate tells
-
-    def stopped(self) -> None:
-        """Note that an operator stopped the robot: what says nothing of it waits for a person."""
-        self._rescue.log.stop(stands=True)
-
-    def ordered(self, act: Act, done: object) -> None:
-        """Note that a signed order let a mission go on: no stop stands against it any more."""
-        goes_on = isinstance(done, Standing) and done.status is Status.ACTIVE
-        if goes_on and act in {Act.ACTIVATE, Act.COMMAND}:
-            self._rescue.log.stop(stands=False)
+    def shown(self) -> dict[str, Any]:
+        """Return what `status` says of emergencies."""
+        policy = self._rescue.opened.policy
+        waiting = None if self._waiting is None else self._waiting.asked
+        asked = self._running or waiting
+        return {
+            "policy": policy.id,
+            "version": policy.version,
+            "expiry": policy.expiry,
+            "under_way": None if asked is None else asked.capability,
+            "unknown": list(self._rescue.log.unknown),
+        }
 
     def call(self, client: Client, number: int, asked: Emergency) -> None:
         """Answer a call, now or when it has ended.
@@ -112,19 +119,22 @@ class Rescues:
         Raises:
             RefusedError: the key is another call's that is not answered yet.
         """
+        mine = self._answers.setdefault((_user_of(client.name), client.role), {})
         key = (client.name, asked.key)
-        if key in self._answers:
-            known = self._answers[key]
+        if key in mine:
+            known = mine[key]
             if known is None:
                 raise RefusedError("it is not answered yet", reason=Reason.BUSY, where="key")
             client.reply(number, {**known, "repeated": True})
             return
-        self._answers[key] = None
-        while len(self._answers) > _MOST_KEPT:
-            self._answers.popitem(last=False)
+        mine[key] = None
 
         def tell(answer: dict[str, Any]) -> None:
-            self._answers[key] = answer
+            mine.pop(key)
+            mine[key] = answer
+            answered = [kept for kept, told in mine.items() if told is not None]
+            for kept in answered[:-_MOST_KEPT]:  # what is under way is not forgotten
+                del mine[kept]
             client.reply(number, {**answer, "repeated": False})
 
         caller = _CALLERS[client.role]
@@ -139,7 +149,7 @@ class Rescues:
         if self._waiting is not None:
             self._go_on(self._waiting, now_ms)
         elif self._running is None and not self.closing():
-            self._watch()
+            self._watch(now_ms)
 
     # one call
 
@@ -206,7 +216,7 @@ class Rescues:
 
     def _count(self, asked: _Asked, call: Call, findings: Findings) -> None:
         """Raise an alert at a user's first false call, the tenth, the hundredth, and so on."""
-        user = asked.name.partition(".")[0]  # under all its names
+        user = _user_of(asked.name)
         count = self._false.pop(user, 0) + 1
         self._false[user] = count
         while len(self._false) > _MOST_COUNTED:
@@ -225,16 +235,32 @@ class Rescues:
             },
         )
 
-    def _watch(self) -> None:
-        """Call what the gate calls by itself, once each time that its guards begin to hold."""
+    def _watch(self, now_ms: int) -> None:
+        """Call what the gate calls by itself, once each time that its guards begin to hold.
+
+        What came to nothing is called again while they hold, unless no controller is there.
+        """
+        away = self._controller is not None and not self._controller.connected
         for name in self._rescue.of_gate():
             call = self._rescue.judge(name, Caller.GATE, _GATE)
             if not call.released:
                 self._met.discard(name)
-            elif name not in self._met:
+            elif name not in self._met and self._is_due(name, now_ms, away=away):
                 self._met.add(name)
-                self._judge(_Asked(_GATE, Caller.GATE, name, lambda _: None))
+                self._judge(_Asked(_GATE, Caller.GATE, name, partial(self._answered, name)))
                 return
+
+    def _is_due(self, name: Identifier, now_ms: int, *, away: bool) -> bool:
+        """True when a capability was not called in vain, or is to be called again."""
+        failed_ms = self._failed.get(name)
+        return failed_ms is None or (now_ms - failed_ms >= AGAIN_MS and not away)
+
+    def _answered(self, name: Identifier, answer: dict[str, Any]) -> None:
+        """Let a call of the gate's own be made again when nothing came of it."""
+        outcome = answer["execution"]["outcome"]
+        if answer["ticket"] is None or outcome == Outcome.NOT_STARTED:
+            self._met.discard(name)
+            self._failed[name] = self._rescue.watch.mono_ms()
 
     def _require_over(self) -> None:
         """Refuse proposals while an emergency is under way.
@@ -246,6 +272,11 @@ class Rescues:
             raise EnvironmentFault(
                 "an emergency is under way", reason=Reason.BUSY, where="emergency"
             )
+
+
+def _user_of(name: Identifier) -> str:
+    """Return the user of a client, who is one under all its names."""
+    return name.partition(".")[0]
 
 
 def rescued_json(ended: Rescued) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def open_road(
         StoreError: the policy was not recorded.
     """
     gate = service.gate
-    log = RescueLog(gate.ledger, journal)
+    log = RescueLog(gate.ledger, journal, settle=gate.enforcer.settle_stops)
     log.adopt(opened)
     log.flush()
     road = Rescue(
@@ -57,5 +57,5 @@ def open_road(
     )
     service.desk.rescues = rescues
     service.motions.beside = rescues.look
-    service.stops.operator_stopped = rescues.stopped
+    service.view.emergency = rescues.shown
     return road

@@ -12,7 +12,6 @@ import asyncio
 import os
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 
 from authguard_r.assembly import Gate
@@ -40,20 +39,13 @@ from authguard_r.gate.sessions import Session
 from authguard_r.gate.stop_book import StopBook
 from authguard_r.gate.streams import Streams
 from authguard_r.gate.view import View
+from authguard_r.gate.vigil import Vigil
 from authguard_r.normalize import Binder
 from authguard_r.report import Report, refusal_entry
 from authguard_r.running import WATCH_MS, quietly
 from authguard_r.shapes import report_json
 from authguard_r.wire.frames import Frame
-from authguard_r.wire.messages import (
-    PROTOCOL,
-    ClientRole,
-    Hello,
-    Kind,
-    Mode,
-    Proof,
-    Welcome,
-)
+from authguard_r.wire.messages import PROTOCOL, ClientRole, Hello, Kind, Mode, Proof, Welcome
 
 #: Open leases are looked at this often, in seconds; never more seldom than every 100 ms.
 LOOK_S = 0.05
@@ -61,6 +53,8 @@ LOOK_S = 0.05
 FLUSH_S = 0.1
 #: Silence is looked for this often, in seconds.
 LISTEN_S = 1.0
+#: Checkpoints that are due, and witnesses' answers, are looked for this often, in seconds.
+VIGIL_S = 0.1
 
 
 class Service:
@@ -115,6 +109,7 @@ class Service:
         self.motions = Motions(controller, streams)
         self.notices = Notices(gate.ledger, lambda: self._clients, journal)
         self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
+        self.vigil = Vigil(gate.anchor, self.liveness, self.notices)
         self.view = View(
             gate,
             config,
@@ -337,6 +332,7 @@ class Service:
             asyncio.create_task(every(LOOK_S, self._look)),
             asyncio.create_task(every(FLUSH_S, self._flush)),
             asyncio.create_task(every(LISTEN_S, self._listen)),
+            asyncio.create_task(every(VIGIL_S, self.vigil.look)),
         ]
         mode, unclean = str(self._config.mode), self._recovery.unclean
         started = {"robot": self._config.robot, "mode": mode, "pid": os.getpid()}
@@ -366,8 +362,7 @@ class Service:
         self.liveness.keep_time(right=quietly(self.gate.ledger.now) is not None)
         if self._config.mode is Mode.ENFORCE:
             connected = self._controller is None or self._controller.connected
-            with suppress(AuthGuardError):
-                self.liveness.check(active=self.view.has_mission, controller=connected)
+            self.liveness.check(active=self.view.has_mission, controller=connected)
         self._desk.questions.listen()
         self._journal.counts(self.view.counted, now_ms)
 

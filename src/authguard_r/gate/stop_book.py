@@ -7,7 +7,6 @@ Spec page: docs/spec/gate-protocol.md#stop-lane
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier
@@ -52,8 +51,6 @@ class StopBook:
         self._liveness = liveness
         self._notices = notices
         self._known: deque[tuple[int, int]] = deque(maxlen=_KNOWN)
-        #: called at each operator's stop, before anything else is begun
-        self.operator_stopped: Callable[[], None] = lambda: None
 
     @property
     def settled(self) -> bool:
@@ -70,8 +67,6 @@ class StopBook:
         self._known.append(name)
         self._view.stops += 1
         by = Identifier(f"u{heard.uid}.{heard.by}")
-        if heard.role is ClientRole.OPERATOR:
-            self.operator_stopped()
         self._record(heard, by)
         # only now: what was decided before the mission was suspended may not start after it
         if self._controller is not None and heard.stops is not None:

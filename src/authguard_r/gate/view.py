@@ -15,18 +15,19 @@ import msgspec
 from authguard_r.assembly import Gate
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.core.encoding import b64
-from authguard_r.core.errors import AuthGuardError, ClockError
+from authguard_r.core.errors import AuthGuardError, ClockError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import Turn
 from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, use_of
 from authguard_r.gate.clients import Client
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.explain import explanation, is_refused_proposal, no_record
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.motions import Motions
-from authguard_r.ledger import Act
+from authguard_r.ledger import Act, stop_stands
 from authguard_r.report import Report
 from authguard_r.wire.messages import ClientRole
 
@@ -70,6 +71,8 @@ class View:
         self.free_bytes: Callable[[], int] | None = None
         #: Whether the stop lane serves and answers; None where there is none.
         self.lane_alive: Callable[[], bool] | None = None
+        #: What is told of emergencies; None where no policy was signed.
+        self.emergency: Callable[[], dict[str, Any]] | None = None
 
     @property
     def uptime_ms(self) -> int:
@@ -79,7 +82,10 @@ class View:
     @property
     def has_mission(self) -> bool:
         """True while a mission is active."""
-        mission = self._active()
+        try:
+            mission = self._active()
+        except StoreError:  # a disk that is gone silences nobody's alerts
+            mission = self._known
         return mission is not None and mission["status"] in {"active", "closing"}
 
     @property
@@ -132,6 +138,8 @@ class View:
             ],
             "heard": self._liveness.ages(),
             "stops": self.stops,
+            "stop_stands": ledger.peek(stop_stands),
+            "emergency": None if self.emergency is None else self.emergency(),
             "alerts": list(self._liveness.alerts),
             "log": {"size": size, "head": b64(head)},
             "refusals": {"shed": self.counted["shed"], "requests": self.counted["refused"]},
@@ -233,7 +241,7 @@ class View:
         kept = None if standing is None else self._gate.enforcer.intake.kept(standing.digest)
         if standing is None or kept is None:  # of a gate before this one
             return self._known
-        return _shown(standing, kept.mission)
+        return _shown(standing, kept.mission, void=Reason.CLOCK_BEHIND)
 
     def _mission_of(self, digest: Digest) -> Mission | None:
         try:
@@ -248,8 +256,9 @@ class View:
         standing = None if mid is None else act.standing(mid)
         if standing is None:
             return None
-        verified = self._gate.enforcer.intake.mission(act, standing.digest)
-        return _shown(standing, verified.mission)
+        intake = self._gate.enforcer.intake
+        held = intake.held(act, standing.digest)
+        return _shown(standing, held.mission, void=intake.lost(act, standing.digest))
 
     def _disk(self) -> dict[str, int] | None:
         """Return what the store's disk has left, and what is kept back of it; None: unknown."""
@@ -269,12 +278,13 @@ class View:
         }
 
 
-def _shown(standing: Standing, mission: Mission) -> dict[str, Any]:
-    """Return what `status` says of a mission."""
+def _shown(standing: Standing, mission: Mission, *, void: Reason | None) -> dict[str, Any]:
+    """Return what `status` says of a mission, and why it authorizes nothing whatever its status."""
     return {
         "mid": standing.mid,
         "version": standing.version,
         "status": str(standing.status),
+        "void": None if void is None else str(void),
         "issuer": mission.issuer,
         "expiry": mission.expiry,
         "closes": to_timestamp(standing.closes_ms) if standing.closes_ms else None,

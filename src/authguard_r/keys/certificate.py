@@ -126,8 +126,7 @@ class LeafClaims(Struct, frozen=True, kw_only=True):
 
 def build_root(key: PrivateKey, *, name: str, now: datetime, days: int) -> x509.Certificate:
     """Return the self-signed root; `name` is what people see (a demo root says so)."""
-    subject = _name(name)
-    builder = _base(subject, subject, key.public_key(), now=now, days=days)
+    builder = _base(_name(name), None, key.public_key(), now=now, days=days)
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=1), critical=True)
     return builder.add_extension(_usage(ca=True), critical=True).sign(key, None)
 
@@ -143,7 +142,7 @@ def build_authority(
     days: int,
 ) -> x509.Certificate:
     """Return a role authority that may issue leaves in `roles` and nothing else."""
-    builder = _base(_name(name), issuer.subject, public, now=now, days=days)
+    builder = _base(_name(name), issuer, public, now=now, days=days)
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
     builder = builder.add_extension(_usage(ca=True), critical=True)
     usage = x509.ExtendedKeyUsage([_OID[role] for role in roles])
@@ -175,7 +174,7 @@ def build_leaf(
         issuer: its authority.
         key: the authority's.
         now: start of validity.
-        days: how long it is valid.
+        days: how long it is valid; its authority's end comes first.
         robots: those that it may sign for; None for every robot.
         regions: where; None for every region.
         profile: for a gate, the digest of its robot's capability profile.
@@ -189,7 +188,7 @@ def build_leaf(
     names += [_PROFILE + profile] if profile is not None else []
     names += [_TEMPLATE + template] if template is not None else []
     names += [f"{_THRESHOLD}{threshold}", *(_MEMBER + name for name in members)] if members else []
-    builder = _base(_name(principal), issuer.subject, public, now=now, days=days)
+    builder = _base(_name(principal), issuer, public, now=now, days=days)
     builder = builder.add_extension(
         x509.BasicConstraints(ca=False, path_length=None), critical=True
     )
@@ -232,7 +231,7 @@ def walk(
     named = (n for n, root in enumerate(roots) if root.subject == authority.issuer)
     number = next(named, 0)  # of no root that is here: the first one did not sign it either
     root = roots[number]
-    allowed = _require_authority(authority, root, moment)
+    allowed = require_authority(authority, root, moment)
     _require_issued(leaf, authority, where="certificate.leaf")
     extensions = _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
     _require_dates(leaf, moment, where="certificate.leaf")
@@ -288,9 +287,14 @@ def read_claims(leaf_der: bytes) -> LeafClaims:
     return LeafClaims(principal=principal, role=next(iter(roles)))
 
 
-def _require_authority(
+def require_authority(
     authority: x509.Certificate, root: x509.Certificate, moment: datetime
 ) -> frozenset[Role]:
+    """Return the roles that a role authority may give, once its root stands behind it.
+
+    Raises:
+        AuthenticityError: root or authority does not hold at that moment, or the root is another.
+    """
     where = "certificate.authority"
     _require_issued(authority, root, where=where)
     extensions = _require_profile(authority, ca=True, path_length=0, where=where)
@@ -423,17 +427,19 @@ def _usage(*, ca: bool) -> x509.KeyUsage:
 
 
 def _base(
-    subject: x509.Name, issuer: x509.Name, public: PublicKey, *, now: datetime, days: int
+    name: x509.Name, issuer: x509.Certificate | None, public: PublicKey, *, now: datetime, days: int
 ) -> x509.CertificateBuilder:
+    """Return what every certificate says; none outlives the one above it."""
     start = now.astimezone(UTC).replace(microsecond=0)
+    end = start + timedelta(days=days)
     return (
         x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
+        .subject_name(name)
+        .issuer_name(name if issuer is None else issuer.subject)
         .public_key(public)
         .serial_number(x509.random_serial_number())
         .not_valid_before(start)
-        .not_valid_after(start + timedelta(days=days))
+        .not_valid_after(end if issuer is None else min(end, issuer.not_valid_after_utc))
     )
 
 

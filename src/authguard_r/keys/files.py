@@ -1,98 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of keys and certificates: written whole or not at all, a trust folder never backwards.
+"""Files written whole or not at all, and never over a private key.
 
-Spec page: docs/spec/token.md#trust-folder
+Spec page: docs/spec/token.md#key-files
 """
 
 from __future__ import annotations
 
 import os
+import secrets
 from contextlib import suppress
 from pathlib import Path
 
-from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from authguard_r.core.errors import AuthenticityError, EnvironmentFault
-from authguard_r.core.quantities import Now
+from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.request import OpenedAnswer, fingerprint
-from authguard_r.keys.revocation import RevocationList
-from authguard_r.keys.trust import read_trust
+from authguard_r.keys.algorithms import PrivateKey
+from authguard_r.keys.envelope import is_sealed
+
+#: How much of a file is read to see whether it is a private key.
+_HEAD_BYTES = 65_536
+_MARK = b"PRIVATE KEY-----"
+_KEY_END = ".key.pem"
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, *, mode: int | None = None, over: bool = False) -> None:
     """Write a file so that a reader finds all of it, or what was there before.
 
+    Args:
+        path: the file; a link is replaced, not what it leads to.
+        data: all of it.
+        mode: its mode, whatever the umask; None: as the umask says, and never writable by others.
+        over: a private key may lie there: the caller replaces it by itself in another form.
+
     Raises:
-        EnvironmentFault: nothing took its place.
+        EnvironmentFault: nothing took its place, or a private key lies there.
     """
-    new = path.with_name(f"{path.name}.new")
+    if not over and holds_key(path):
+        raise _in_the_way(f"`{path}` holds a private key: name another file", path)
+    _place(path, data, mode)
+
+
+def write_keys(path: Path, *keys: PrivateKey) -> None:
+    """Write new keys, readable by their owner alone from the first byte on, or nothing.
+
+    Raises:
+        EnvironmentFault: something lies there, or they could not be written.
+    """
+    if os.path.lexists(path):
+        raise _in_the_way(f"`{path}` is there already", path)
+    form = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    _place(path, b"".join(key.private_bytes(*form) for key in keys), 0o600)
+
+
+def holds_key(path: Path) -> bool:
+    """Return whether a private key lies there, plain or sealed.
+
+    What may not be read is one when its name says so.
+    """
     try:
-        with new.open("wb") as file:
+        head = _head(path)
+    except OSError:
+        return path.name.endswith(_KEY_END) and os.path.lexists(path)
+    return _MARK in head or is_sealed(head)
+
+
+def holds_plain_key(path: Path) -> bool:
+    """Return whether a private key lies there that can be read by whoever reads the file."""
+    try:
+        return _MARK in _head(path)
+    except OSError:
+        return False  # that it cannot be read is said elsewhere
+
+
+def _head(path: Path) -> bytes:
+    if not path.is_file():  # a pipe would be waited for
+        return b""
+    with path.open("rb") as file:
+        return file.read(_HEAD_BYTES)
+
+
+def _place(path: Path, data: bytes, mode: int | None) -> None:
+    # beside it, for a rename goes across no file system; a name that nobody else has
+    new = path.parent / f".{path.name}.{secrets.token_hex(8)}"
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    try:
+        with os.fdopen(os.open(new, flags, 0o644 if mode is None else mode), "wb") as file:
             file.write(data)
             file.flush()
+            if mode is not None:
+                os.fchmod(file.fileno(), mode)
             os.fsync(file.fileno())
         new.replace(path)
     except OSError as error:
-        raise EnvironmentFault(
-            f"cannot write `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
-            where=str(path),
-        ) from error
+        raise _in_the_way(f"cannot write `{path}`: {error.strerror}", path) from error
     finally:
         with suppress(OSError):  # it has the place by now, or a half of it is nobody's
             new.unlink()
 
 
-def install_answer(folder: Path, opened: OpenedAnswer) -> None:
-    """Write a trust folder, or bring the one that is there up to date; its root never changes.
-
-    Args:
-        folder: the trust folder; may be absent.
-        opened: an answer whose root a person, or the folder, stands behind.
-
-    Raises:
-        AuthenticityError: the folder has another root; nothing was written.
-        EnvironmentFault: it could not be written.
-    """
-    roots = opened.trust.roots
-    held: dict[str, RevocationList] = {}
-    if (folder / "root.pem").exists():
-        known = read_trust(folder)
-        require_root(fingerprint(roots), fingerprint(known.roots), where=str(folder))
-        held = {item.authority: item for item in known.lists.values()}
-    for name in ("authorities", "revocations"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    for name, found in opened.lists.items():
-        if name not in held or held[name].number < found.number:
-            write_whole(folder / "revocations" / f"{name}.json", found.signed)
-    for name, certificate in opened.authorities.items():
-        path = folder / "authorities" / f"{name}.pem"
-        write_whole(path, certificate.public_bytes(Encoding.PEM))
-    pem = b"".join(root.public_bytes(Encoding.PEM) for root in roots)
-    write_whole(folder / "root.pem", pem)  # the last: without it there is no trust folder
-
-
-def install_list(folder: Path, data: bytes, now: Now) -> RevocationList:
-    """Put an authority's next list in the place of the one that a trust folder holds.
-
-    Raises:
-        AuthGuardError: it is none of this folder's authorities, or not newer; nothing was written.
-    """
-    _, found = read_trust(folder).read_newer(data, now)
-    write_whole(folder / "revocations" / f"{found.authority}.json", found.signed)
-    return found
-
-
-def require_root(got: str, expected: str, *, where: str) -> None:
-    """Require that a fingerprint is the expected one.
-
-    Raises:
-        AuthenticityError: it is another root's.
-    """
-    if got != expected:
-        raise AuthenticityError(
-            f"expected the root `{expected}`, got `{got}`",
-            reason=Reason.CERTIFICATE_INVALID,
-            where=where,
-        )
+def _in_the_way(message: str, path: Path) -> EnvironmentFault:
+    return EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=str(path))

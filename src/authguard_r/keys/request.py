@@ -29,15 +29,12 @@ from authguard_r.core.identifiers import (
     RobotId,
 )
 from authguard_r.core.ports import Endorsed
-from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Endorsement
 from authguard_r.keys.algorithms import PRIVATE, PublicKey, algorithm_of, require_sound
-from authguard_r.keys.certificate import Leaf, Role, load
+from authguard_r.keys.certificate import Role
 from authguard_r.keys.pkcs11 import request_of
-from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.signer import FileSigner, SigningKey
-from authguard_r.keys.trust import ROOT_LISTS, Trust
 
 _REQUEST = "authguard-r/key-request/1"
 #: What the library says of bytes that are no request, or one that says something else.
@@ -132,24 +129,6 @@ class Answer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     lists: dict[Identifier, str]
 
 
-class OpenedAnswer(Struct, frozen=True, kw_only=True):
-    """An answer that holds under its own roots; whether they are the right ones, a person says.
-
-    Args:
-        trust: its roots and lists.
-        chains: leaf and authority of each key, DER.
-        leaves: what they say.
-        authorities: every role authority's certificate by its name.
-        lists: the lists by their authority's name.
-    """
-
-    trust: Trust
-    chains: tuple[tuple[bytes, bytes], ...]
-    leaves: tuple[Leaf, ...]
-    authorities: dict[str, x509.Certificate]
-    lists: dict[str, RevocationList]
-
-
 def make_request(
     wanted: Wanted, keys: tuple[SigningKey, ...], *, before: FileSigner | None = None
 ) -> bytes:
@@ -197,40 +176,6 @@ def open_request(data: bytes) -> OpenedRequest:
     )
     message = _message(request.wanted, request.proofs)
     return OpenedRequest(wanted=request.wanted, keys=keys, message=message, renews=renews)
-
-
-def open_answer(data: bytes, now: Now) -> OpenedAnswer:
-    """Return an answer, once everything in it holds under the roots that it brings.
-
-    Raises:
-        MalformedError: no canonical answer, or a list is none.
-        AuthenticityError: a certificate or list does not hold at `now`.
-    """
-    answer = decode(data.removesuffix(b"\n"), Answer, where="answer")
-    roots = tuple(_certificate(text, where="answer.roots") for text in answer.roots)
-    named = dict(zip(ROOT_LISTS, roots, strict=False))
-    authorities = {
-        name: _certificate(text, where=f"answer.authorities.{name}")
-        for name, text in answer.authorities.items()
-    }
-    if set(answer.lists) != {*named, *authorities} or named.keys() & authorities.keys():
-        raise MalformedError("expected the list of each authority", where="answer.lists")
-    lists = {
-        name: _list(answer.lists[name], name, certificate)
-        for name, certificate in {**named, **authorities}.items()
-    }
-    ders = {n: c.public_bytes(Encoding.DER) for n, c in {**named, **authorities}.items()}
-    trust = Trust(roots, {ders[name]: found for name, found in lists.items()})
-    chains = tuple(
-        (unb64(leaf, where="answer.chains"), unb64(authority, where="answer.chains"))
-        for leaf, authority in answer.chains
-    )
-    leaves = tuple(trust.identify(chain, now) for chain in chains)
-    if [leaf.root for leaf in leaves] != list(range(len(roots))):
-        raise MalformedError("expected a certificate under each root", where="answer.chains")
-    return OpenedAnswer(
-        trust=trust, chains=chains, leaves=leaves, authorities=authorities, lists=lists
-    )
 
 
 def fingerprint(roots: tuple[x509.Certificate, ...]) -> str:
@@ -293,15 +238,6 @@ def _require_sense(wanted: Wanted) -> None:
         raise MalformedError("expected a gate's, and only a gate's", where="request.profile")
     if (wanted.template is not None) is not (role is Role.SCHEDULER):
         raise MalformedError("expected a scheduler's, and only its", where="request.template")
-
-
-def _certificate(text: str, *, where: str) -> x509.Certificate:
-    return load(unb64(text, where=where), where=where)
-
-
-def _list(text: str, name: str, authority: x509.Certificate) -> RevocationList:
-    key = require_sound(authority.public_key(), where=f"answer.authorities.{name}")
-    return read_list(text.encode("utf-8"), authority=name, key=key)
 
 
 def _unproven(message: str, where: str) -> AuthenticityError:

@@ -15,8 +15,6 @@ from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
-    NoEncryption,
-    PrivateFormat,
     load_pem_private_key,
 )
 from msgspec import Struct
@@ -33,8 +31,10 @@ from authguard_r.keys.algorithms import (
     require_private,
 )
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.envelope import is_sealed
+from authguard_r.keys.files import write_keys, write_whole
 from authguard_r.keys.revocation import Revocation, sign_list
+from authguard_r.keys.signer import Passphrase, open_key_file
 
 #: What the files of the second root, and of everything under it, are told apart by.
 SUFFIXES = ("", "-2")
@@ -215,14 +215,14 @@ def add_member(folder: Path, member: Member, *, now: datetime, days: int) -> Non
     issue_member(folder, member, lines, now=now, days=days)
 
 
-def read_authority(folder: Path, name: str) -> Issued:
+def read_authority(folder: Path, name: str, passphrase: Passphrase | None = None) -> Issued:
     """Return an authority's key and certificate from a set-up that holds both.
 
     Raises:
         EnvironmentFault: one of them is not here, or cannot be read.
-        AuthenticityError: its key is of no known algorithm.
+        AuthenticityError: its key is sealed and does not open, or is of no known algorithm.
     """
-    key = read_key(folder, name)
+    key = read_key(folder, name, passphrase)
     try:
         pem = (folder / "authorities" / f"{name}.pem").read_bytes()
         return Issued(key, x509.load_pem_x509_certificate(pem))
@@ -230,19 +230,44 @@ def read_authority(folder: Path, name: str) -> Issued:
         raise _without(folder, name) from error
 
 
-def read_key(folder: Path, name: str) -> PrivateKey:
+def read_key(folder: Path, name: str, passphrase: Passphrase | None = None) -> PrivateKey:
     """Return an authority's or a root's private key from a set-up that holds it.
+
+    Args:
+        folder: the set-up.
+        name: whose key.
+        passphrase: asked once, and only for a sealed key; None: there is nobody to ask.
 
     Raises:
         EnvironmentFault: it is not here, or cannot be read.
-        AuthenticityError: it is of no known algorithm.
+        MalformedError: it is sealed and damaged.
+        AuthenticityError: it is sealed and nobody says its passphrase, or another one; or it is of
+            no known algorithm.
     """
+    path = _key_path(folder, name)
     try:
-        data = (folder / "keys" / f"{name}.key.pem").read_bytes()
-        key = load_pem_private_key(data, None)
+        data = path.read_bytes()
+        key = None if is_sealed(data) else load_pem_private_key(data, None)
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise _without(folder, name) from error
+    if key is None:
+        return open_key_file(path, passphrase)[0]
     return require_private(key, where=f"keys/{name}.key.pem")
+
+
+def require_key_here(folder: Path, name: str) -> None:
+    """Require that a set-up holds an authority's certificate and private key; nothing is opened.
+
+    Raises:
+        EnvironmentFault: one of them is not here.
+    """
+    for path in (_key_path(folder, name), folder / "authorities" / f"{name}.pem"):
+        if not path.exists():
+            raise _without(folder, name)
+
+
+def _key_path(folder: Path, name: str) -> Path:
+    return folder / "keys" / f"{name}.key.pem"
 
 
 def _without(folder: Path, name: str) -> EnvironmentFault:
@@ -291,11 +316,3 @@ def _authority(
     write_keys(folder / "keys" / f"{name}.key.pem", key)
     write_revocations(folder, name, key, serials=(), now=now, number=1, days=days - 1)
     return Issued(key, certificate)
-
-
-def write_keys(path: Path, *keys: PrivateKey) -> None:
-    """Write the keys readable by their owner alone, from the first byte on."""
-    path.touch(mode=0o600, exist_ok=False)
-    path.write_bytes(
-        b"".join(k.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()) for k in keys)
-    )

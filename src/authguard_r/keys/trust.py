@@ -21,7 +21,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Principal
 from authguard_r.keys.algorithms import require_signature, require_sound
-from authguard_r.keys.certificate import Leaf, Role, walk
+from authguard_r.keys.certificate import Leaf, Role, load, read_claims, walk
 from authguard_r.keys.revocation import RevocationList, claimed_authority, read_list
 
 #: Names of the roots' own revocation lists, in the order of the roots.
@@ -93,6 +93,11 @@ class Trust:
                 where=f"revocations/{name}",
             )
         return der, found
+
+    def in_force(self, data: bytes, now: Now) -> RevocationList | None:
+        """Return the list in force that has these very bytes, unless it is stale; else None."""
+        same = (known for known in self._lists.values() if known.signed == data)
+        return next((known for known in same if now.utc_ms <= known.next_update_ms), None)
 
     def put_in_force(self, lists: dict[bytes, RevocationList]) -> None:
         """Let these lists count from now on, and forget whom the ones before let in.
@@ -177,6 +182,16 @@ class Trust:
                     reason=Reason.SIGNATURE_MISSING,
                     where="token.endorsements",
                 )
+
+    def bearer(self, chain: tuple[bytes, ...]) -> tuple[str, bytes]:
+        """Return whose name a chain's leaf has, and its public key; whether it holds, others say.
+
+        Raises:
+            AuthenticityError: it names nobody.
+        """
+        where = "certificate.leaf"
+        key = require_sound(load(chain[0], where=where).public_key(), where=where)
+        return read_claims(chain[0]).principal, key.public_bytes_raw()
 
     def gate_identity(self, chain: tuple[bytes, ...], now: Now) -> tuple[RobotId, Digest]:
         """Return the robot and profile that a gate's own certificate names.

@@ -18,9 +18,18 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, advance, carry_over, issue
 from authguard_r.core.token import VerifiedMission, read_token
 from authguard_r.ledger import Act
-from authguard_r.management.parts import Parts, entry, refuse, replayed
+from authguard_r.management.parts import Parts, entry, go_on, refuse, replayed
 from authguard_r.management.repetition import Used, use_instance
 from authguard_r.management.rollback import require_later
+
+#: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
+_ENDS: dict[Reason, Event] = {
+    Reason.EXPIRED: Event.EXPIRE,
+    Reason.MISSION_COMPLETED: Event.COMPLETE,
+    Reason.CERTIFICATE_EXPIRED: Event.EXPIRE,
+    Reason.CERTIFICATE_REVOKED: Event.REVOKE,
+    Reason.REVOKED: Event.REVOKE,
+}
 
 
 class _Offered(Struct, frozen=True, kw_only=True):
@@ -53,6 +62,7 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     act.keep_token(verified.digest, offered.held)
     act.hold(active)
     act.make_active(mission.mid)
+    go_on(act)
     opened: dict[str, object] = {
         "verb": "activate",
         "by": mission.issuer,
@@ -81,20 +91,27 @@ def _offered(act: Act, token: bytes, confirmation: bytes | None, parts: Parts) -
 
 
 def _lapsed(act: Act, standing: Standing | None, parts: Parts) -> Standing | None:
-    """Return the standing after what time alone has ended: its validity, or its closing."""
+    """Return the standing after what ended without an order: its time, or its signer's word."""
     if standing is None or standing.status in TERMINAL:
         return standing
-    verified = parts.intake.mission(act, standing.digest)
-    ended: Standing | None = None
-    if act.now.utc_ms > verified.expiry_ms:
-        ended = advance(standing, Event.EXPIRE)
-    elif standing.status is Status.CLOSING and act.now.utc_ms > standing.closes_ms:
-        ended = advance(standing, Event.COMPLETE)
+    why = _over(act, standing, parts)
+    event = None if why is None else _ENDS.get(why)
+    ended = None if event is None else advance(standing, event)
     if ended is None:
         return standing
     act.hold(ended)
-    act.record(entry(act, ended.mid, {"verb": "lapse", "status": ended.status}))
+    opened: dict[str, object] = {"verb": "lapse", "status": ended.status, "reasons": [why]}
+    act.record(entry(act, ended.mid, opened))
     return ended
+
+
+def _over(act: Act, standing: Standing, parts: Parts) -> Reason | None:
+    """Return why a mission authorizes nothing any more, or not now; None: nothing says so."""
+    if act.now.utc_ms > parts.intake.held(act, standing.digest).expiry_ms:
+        return Reason.EXPIRED
+    if standing.status is Status.CLOSING and act.now.utc_ms > standing.closes_ms:
+        return Reason.MISSION_COMPLETED
+    return parts.intake.lost(act, standing.digest)
 
 
 def require_bound(mission: Mission, facts: SiteFacts) -> None:

@@ -77,6 +77,8 @@ class Lists:
     def install(self, data: bytes) -> Received:
         """Take a newer list in: whatever is decided after this returns is decided under it.
 
+        The very list that is in force is so already: nothing is written, and nothing is wrong.
+
         Args:
             data: the signed list, brought by anybody.
 
@@ -86,7 +88,15 @@ class Lists:
                 force, or stale already (`REVOCATION_STALE`).
             EnvironmentFault: it could not be written; the one before is in force.
         """
-        der, found = attempt(self._ledger, lambda act: self._trust.read_newer(data, act.now))
+
+        def read(act: Act) -> RevocationList | tuple[bytes, RevocationList]:
+            there = self._trust.in_force(data, act.now)
+            return self._trust.read_newer(data, act.now) if there is None else there
+
+        known = attempt(self._ledger, read)
+        if isinstance(known, RevocationList):
+            return _received(known)
+        der, found = known
         before = self._trust.lists[der]
 
         def job(act: Act) -> None:

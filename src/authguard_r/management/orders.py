@@ -7,18 +7,25 @@ Spec page: docs/spec/standing.md#commands
 from __future__ import annotations
 
 from authguard_r.approvals import open_selection
-from authguard_r.commands import EVENTS, NARROWING, Command, Verb
+from authguard_r.commands import ENDING, EVENTS, NARROWING, Command, Verb
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Digest, PrincipalId
 from authguard_r.core.lifecycle import TERMINAL
-from authguard_r.core.mission import Grant
+from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish, select, settle
-from authguard_r.core.token import Principal, VerifiedMission, open_token
+from authguard_r.core.token import Principal, open_token
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.ledger import Act
-from authguard_r.management.parts import Parts, entry, refuse, replayed, require_signed_since
+from authguard_r.management.parts import (
+    Parts,
+    entry,
+    go_on,
+    refuse,
+    replayed,
+    require_signed_since,
+)
 from authguard_r.management.repetition import require_fresh
 
 #: Open releases that a message names; a mission has one for each lease that was lost.
@@ -30,12 +37,14 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
     command, _, signer = open_token(
         token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
     )
-    standing, verified = _require_current(act, command, signer, parts)
-    after = _carried_out(act, command, standing, verified)
+    standing, mission = _require_current(act, command, signer, parts)
+    after = _carried_out(act, command, standing, mission)
     if after is None:
         raise refuse(Reason.TRANSITION_REFUSED, _refusal(command.verb, standing))
     act.hold(after)
     act.put("command", command.nonce, b"1")
+    if command.verb is Verb.RESUME:
+        go_on(act)
     if after.status in TERMINAL:
         act.make_active(None)
         parts.intake.forget()
@@ -52,41 +61,44 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
 
 def _require_current(
     act: Act, command: Command, signer: Principal, parts: Parts
-) -> tuple[Standing, VerifiedMission]:
+) -> tuple[Standing, Mission]:
     require_fresh(act, command)
     standing = act.standing(command.mid)
     if standing is None or standing.digest != command.mission:
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
     if not signer.scope.covers(standing.rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
-    verified = parts.intake.mission(act, standing.digest)
-    mine = signer.id == verified.mission.issuer
+    if command.verb in ENDING:
+        mission = parts.intake.held(act, standing.digest).mission
+    else:  # what lets it go on: only while its signature holds
+        mission = parts.intake.mission(act, standing.digest).mission
+    mine = signer.id == mission.issuer
     if not mine and not (command.verb in NARROWING and signer.role == "safety_officer"):
         raise refuse(Reason.ROLE_DENIED, f"`{signer.id}` may not {command.verb} this mission")
-    return standing, verified
+    return standing, mission
 
 
 def _carried_out(
-    act: Act, command: Command, standing: Standing, verified: VerifiedMission
+    act: Act, command: Command, standing: Standing, mission: Mission
 ) -> Standing | None:
     if command.verb is Verb.RESUME and standing.open:
         return None  # what nobody knows is resolved first
     if command.verb is not Verb.RESOLVE:
         event = EVENTS.get(command.verb)
         after = None if event is None else advance(standing, event)
-        return None if after is None else finish(after, verified.mission, act.now)
+        return None if after is None else finish(after, mission, act.now)
     if command.ticket is None or command.outcome in {None, Outcome.UNKNOWN}:
         return None
     if all(release.ticket != command.ticket for release in standing.open):
         return None
     after = settle(
         standing,
-        verified.mission,
+        mission,
         ticket=command.ticket,
         outcome=Outcome(command.outcome),
         used=_reserved(standing, command.ticket),
     )
-    return finish(after, verified.mission, act.now)
+    return finish(after, mission, act.now)
 
 
 def _refusal(verb: Verb, standing: Standing) -> str:

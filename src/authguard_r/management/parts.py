@@ -22,7 +22,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.intake import Intake
-from authguard_r.ledger import Act, Ledger
+from authguard_r.ledger import STOP, Act, Ledger, stop_stands
 from authguard_r.report import refusal_entry
 
 T = TypeVar("T")
@@ -69,6 +69,12 @@ def entry(
         open=plain,
         sealed=sealed or {},
     )
+
+
+def go_on(act: Act) -> None:
+    """Let no operator's stop stand any more: a signed order made a mission active."""
+    if stop_stands(act):
+        act.put(*STOP[:2], b"")
 
 
 def hold_acceptance(act: Act) -> None:

@@ -37,20 +37,20 @@ def recover(act: Act, *, unclean: bool, parts: Parts) -> tuple[Digest, ...]:
     standing = act.standing(mid) if mid is not None else None
     if standing is None or not (standing.open or (unclean and standing.status not in TERMINAL)):
         return ()
-    verified = parts.intake.mission(act, standing.digest)
+    mission = parts.intake.held(act, standing.digest).mission
     for release in standing.open:
-        grant = next((g for g in verified.mission.actions if g.id == release.grant), None)
+        grant = next((g for g in mission.actions if g.id == release.grant), None)
         if grant is not None and _is_done(grant, act, parts):
             standing = settle(
                 standing,
-                verified.mission,
+                mission,
                 ticket=release.ticket,
                 outcome=Outcome.SUCCEEDED,
                 used=release.reserved,
             )
     if standing.open or unclean:
         standing = advance(standing, Event.SUSPEND) or standing
-    standing = finish(standing, verified.mission, act.now)
+    standing = finish(standing, mission, act.now)
     act.hold(standing)
     opened = {"verb": "recover", "status": standing.status, "unknown": len(standing.open)}
     act.record(entry(act, standing.mid, {**opened, "unclean": True} if unclean else opened))

@@ -11,13 +11,13 @@ from msgspec.structs import replace
 
 from authguard_r.commands import NARROWING, Command, Verb
 from authguard_r.core.checks.mission import binding_findings
-from authguard_r.core.encoding import Tag, decode, encode_fast, unb64
+from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.lifecycle import TERMINAL, Event
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
-from authguard_r.core.token import open_token, read_token
+from authguard_r.core.token import open_token
 from authguard_r.intake import ISSUER_ROLES, claimed_template
 from authguard_r.ledger import Act, read_held
 from authguard_r.management.parts import Parts, entry, refuse, require_signed_since
@@ -27,6 +27,7 @@ from authguard_r.templates import (
     Pair,
     Template,
     TemplateStanding,
+    claimed,
     combinations,
     filled,
     is_pair,
@@ -171,8 +172,7 @@ def _template_of(kept: KeptTemplate) -> Template:
 
     Its issuer's certificate may have ended since; that must not keep anybody from withdrawing it.
     """
-    payload = unb64(read_token(kept.token.encode("utf-8")).payload, where="template")
-    return decode(payload, Template, where="template")
+    return claimed(kept.token.encode("utf-8"), Template, tag=Tag.TEMPLATE)
 
 
 def _standing(template: Template, hashed: Digest, kept: KeptTemplate) -> TemplateStanding:

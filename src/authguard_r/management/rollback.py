@@ -58,8 +58,11 @@ def accept_store(act: Act, token: bytes, *, parts: Parts) -> AcceptedStore:
         raise refuse(Reason.ROBOT_MISMATCH, f"expected an order about `{rid}`", "command.mid")
     if not signer.scope.covers(rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
-    if anchor.why is None or anchor.why is Why.COUNTER_UNREADABLE:
-        text = "nothing is to be accepted: the counter agrees, or has to be readable first"
+    if anchor.why is None:
+        text = "nothing is to be accepted: the store agrees with what is outside of it"
+        raise refuse(Reason.TRANSITION_REFUSED, text, "store")
+    if anchor.why is Why.COUNTER_UNREADABLE:
+        text = "the counter has to be readable first: look at `--counter` and its mount, restart"
         raise refuse(Reason.TRANSITION_REFUSED, text, "store")
     row = act.rows(claim.size - 1, 1)
     fits = anchor.fits(store=claim.store, size=claim.size, number=claim.number)

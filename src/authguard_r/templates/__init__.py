@@ -9,6 +9,7 @@ does not cover. Spec page: docs/spec/template.md
 from __future__ import annotations
 
 from authguard_r.templates.expansion import combinations, expand, filled
+from authguard_r.templates.held import HeldMission, claimed, claimed_mission, held_mission
 from authguard_r.templates.instance import (
     SCHEDULER_ROLES,
     Delegations,
@@ -26,6 +27,7 @@ from authguard_r.templates.template import Hole, HoleKind, Template, require_sou
 __all__ = [
     "SCHEDULER_ROLES",
     "Delegations",
+    "HeldMission",
     "Hole",
     "HoleKind",
     "Instance",
@@ -35,10 +37,13 @@ __all__ = [
     "Template",
     "TemplateStanding",
     "VerifiedTemplate",
+    "claimed",
+    "claimed_mission",
     "combinations",
     "covered",
     "expand",
     "filled",
+    "held_mission",
     "instantiate",
     "is_pair",
     "open_template",

@@ -292,7 +292,7 @@ def test_a_store_says_how_it_is_anchored(tmp_path: Path) -> None:
     store = lay(setup)
     assert advice(setup, Code.ANCHOR).message.startswith("unanchored")
     store.with_suffix(".checkpoint").write_bytes(b"")
-    assert advice(setup, Code.ANCHOR).message.startswith("terminal digest beside the store")
+    assert advice(setup, Code.ANCHOR).message.startswith("its checkpoint is where the store is")
     assert advice(setup, Code.ANCHOR).level is Level.WARNING
 
 

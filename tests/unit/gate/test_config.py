@@ -6,18 +6,28 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 import worlds
+from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import folder_signer
-from authguard_r.core.encoding import Tag
+from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.gate.config import GateConfig, Peer, open_gate_config, roles_of
+from authguard_r.gate.config import (
+    GateConfig,
+    Peer,
+    open_gate_config,
+    roles_of,
+)
+from authguard_r.gate.vigil import notary_policy
+from authguard_r.keys.notes import witness_key
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from unit.gate.robots import config
+from witnesses import SmallWitness
 
 ONE, TWO = (Peer(uid=n, roles=(ClientRole.PLANNER,)) for n in (1, 2))
 
@@ -61,6 +71,62 @@ def test_a_second_spelling_and_another_robot_are_refused(
     with pytest.raises(MalformedError) as refused:
         opened(config(**changes))
     assert refused.value.where == where
+
+
+ONES, TWOS = (
+    WitnessPlace(url=f"https://{name}.example", key=SmallWitness(name, ()).named.text())
+    for name in ("one", "two")
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"quorum": 1}, "gate.quorum"),
+        ({"witnesses": (ONES,)}, "gate.quorum"),
+        ({"witnesses": (ONES, TWOS), "quorum": 3}, "gate.quorum"),
+        ({"witnesses": (ONES, ONES), "quorum": 2}, "gate.witnesses"),
+        (
+            {"witnesses": (ONES, replace(ONES, url="http://one.example")), "quorum": 2},
+            "gate.witnesses[1].url",
+        ),
+        ({"witnesses": (replace(ONES, key="one"),), "quorum": 1}, "gate.witnesses[0].key"),
+    ],
+)
+def test_witnesses_that_cannot_agree_or_count_twice_are_refused(
+    changes: dict[str, Any], where: str
+) -> None:
+    with pytest.raises(MalformedError) as refused:
+        opened(config(**changes))
+    assert refused.value.where == where
+
+
+def test_one_key_under_two_names_is_one_witness() -> None:
+    witness = SmallWitness("one", ())
+    again = witness_key("two", witness.key.public_key())
+    places = (
+        WitnessPlace(url="https://one.example", key=witness.named.text()),
+        WitnessPlace(url="https://two.example", key=again.text()),
+    )
+    with pytest.raises(MalformedError) as refused:
+        opened(config(witnesses=places, quorum=2))
+    assert refused.value.where == "gate.witnesses"
+
+
+def test_what_is_said_of_witnesses_is_what_is_asked() -> None:
+    said = {"checkpoint_records": 10, "checkpoint_ms": 5_000, "witness_ms": 7, "quorum": 1}
+    held = opened(config(witnesses=(ONES, TWOS), **said))
+    policy = notary_policy(held)
+    assert (policy.records, policy.every_ms) == (10, 5_000)
+    asked = policy.witnesses
+    assert (asked.places, asked.quorum, asked.silence_ms) == ((ONES, TWOS), 1, 7)
+
+
+def test_a_configuration_of_before_there_were_witnesses_is_the_same_bytes() -> None:
+    plain = encode_fast(config())
+    assert b"witness" not in plain
+    assert b"checkpoint" not in plain
+    assert b"quorum" not in plain
 
 
 @pytest.mark.parametrize("changes", [{"peers": ()}, {"connections": 0}, {"renew_within_ms": 149}])

@@ -157,12 +157,5 @@ def test_a_key_that_may_not_be_read_is_known_by_its_name(tmp_path: Path) -> None
     assert found.place == str(tmp_path / "a.key.pem")
 
 
-def test_a_file_that_vanishes_while_it_is_looked_at_is_known_by_its_name(tmp_path: Path) -> None:
-    from authguard_r.gate.checkup import custody
-
-    assert custody._is_key(tmp_path / "gone.key.pem")
-    assert not custody._is_key(tmp_path / "gone.txt")
-
-
 def test_the_robot_of_these_tests_is_mine(tmp_path: Path) -> None:
     assert robot(tmp_path).uid == ME

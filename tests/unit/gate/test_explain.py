@@ -18,9 +18,10 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.explain import explanation
-from authguard_r.gate.mends import _ANSWERS, MENDS, mends_of
+from authguard_r.gate.mends import _ANSWERS, EMERGENCY_MENDS, MENDS, mends_of
 from authguard_r.wire.messages import Act, ClientRole, Explain, Kind, Observe, Order
 from unit.gate.house import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
+from unit.gate.test_rescues import Ward
 
 #: Too fast: one bound, which a signature can raise.
 FAST = b'navigate_to(destination="Pharmacy", speed=1.2)'
@@ -116,7 +117,7 @@ def test_every_reason_says_what_to_do_with_commands_that_there_are() -> None:
     assert MENDS.keys() == set(Reason)
     assert sum(len(reasons) for _, reasons in _ANSWERS) == len(MENDS)  # none stands twice
     tree = get_command(app)
-    for mend in set(MENDS.values()):
+    for mend in {*MENDS.values(), *EMERGENCY_MENDS.values()}:
         for words in re.findall(r"authguard ([a-z]+(?: [a-z]+)?)", mend):
             node: Any = tree
             for word in words.split():
@@ -136,6 +137,19 @@ def test_a_refusal_without_a_decision_says_where_and_what_to_do() -> None:
         assert told["why"][0].startswith("NAME_UNKNOWN: ")
         assert told["why"][0].endswith("destination)")
         assert told["mends"] == [MENDS[Reason.NAME_UNKNOWN]]
+
+
+def test_a_refused_emergency_is_the_last_refusal_and_has_advice_of_its_own() -> None:
+    with Ward() as house:
+        house.call(house.enter(ClientRole.PLANNER), "call-help")
+        told = explained(house)
+        assert (told["kind"], told["what"]) == ("refusal", "emergency call-help")
+        assert told["who"].endswith(".planner")
+        assert told["why"][0].startswith("GUARD_FALSE at ")
+        assert told["mends"] == [EMERGENCY_MENDS[Reason.GUARD_FALSE]]
+        assert told["mends"] != [MENDS[Reason.GUARD_FALSE]]
+        assert ": emergency call-help (by " in told["text"][0]
+        assert explained(house, told["seq"]) == told
 
 
 def test_a_record_that_is_not_there_is_refused() -> None:

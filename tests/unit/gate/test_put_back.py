@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from msgspec.structs import replace
 
 import worlds
 from authguard_r.anchoring.counter import FileCounter
+from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import simulate
 from authguard_r.client.session import done_of
 from authguard_r.core.errors import ClockError, MalformedError, RefusedError
@@ -17,10 +19,13 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.checkup import Setup, checkup
 from authguard_r.gate.checkup.advice import Code, Level
-from authguard_r.gate.checkup.logbook import counter_advice
+from authguard_r.gate.checkup.logbook import counter_advice, store_advice, witness_advice
 from authguard_r.gate.mends import MENDS
 from authguard_r.gate.recovery import Recovery
+from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import Act
+from unit.gate.robots import config
+from witnesses import SmallWitness, begin, policy
 
 
 def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:
@@ -48,6 +53,47 @@ def test_the_doctor_names_a_counter_that_is_missing_or_worth_little(tmp_path: Pa
     elsewhere = Path("/dev/shm/counter")
     if elsewhere.parent.is_dir() and elsewhere.parent.stat().st_dev != tmp_path.stat().st_dev:
         assert counter_advice(elsewhere, store).level is Level.OK
+
+
+def test_the_doctor_says_what_witnesses_are_worth(tmp_path: Path) -> None:
+    key = SmallWitness("w", ()).named.text()
+    here = WitnessPlace(url="http://127.0.0.1:1", key=key)
+    away = WitnessPlace(url="https://witness.example", key=key)
+    store = tmp_path / "robot.db"
+
+    def levels(quorum: int, *places: WitnessPlace) -> list[Level]:
+        held = config(witnesses=places, quorum=quorum)
+        return [advice.level for advice in witness_advice(held)]
+
+    assert levels(0) == []
+    assert levels(1, away) == [Level.OK]
+    assert levels(1, here) == [Level.WARNING, Level.OK]
+    assert levels(1, away, here) == [Level.WARNING]
+    assert levels(2, away, here) == [Level.WARNING, Level.OK]
+    assert levels(2, away, away, here) == [Level.OK]
+    setup = Setup(demo=False, uid=0, store=store, config=config(witnesses=(away,), quorum=1))
+    (found,) = (a for a in checkup(setup, worlds.NOW) if a.code is Code.COUNTER)
+    assert found.level is Level.OK
+
+
+def test_the_doctor_says_where_the_newest_checkpoint_is(tmp_path: Path) -> None:
+    store = tmp_path / "robot.db"
+
+    def said() -> tuple[Level, str]:
+        found = {a.code: a for a in store_advice(store, worlds.NOW, uid=os.geteuid(), deep=False)}
+        return found[Code.ANCHOR].level, found[Code.ANCHOR].message
+
+    with SmallWitness("w") as witness:
+        opened = open_store(store)
+        gate = begin(opened, policy()).gate
+        gate.ledger.close()
+        assert said()[1].startswith("unanchored")
+        begin(open_store(store), policy()).gate.close()
+        level, message = said()
+        assert (level, "where the store is" in message) == (Level.WARNING, True)
+        begin(open_store(store), policy(witness)).gate.close()
+        level, message = said()
+        assert (level, "cosigned" in message) == (Level.OK, True)
 
 
 def test_the_doctor_looks_at_the_counter_together_with_the_store(tmp_path: Path) -> None:

@@ -15,16 +15,19 @@ import emergencies
 import worlds
 from authguard_r.audit.record import Record, read_record
 from authguard_r.commands import Verb
+from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, StoreError
 from authguard_r.core.ports import Store
 from authguard_r.core.quantities import Now
+from authguard_r.core.standing import Outcome
 from authguard_r.emergency.journal import EmergencyJournal
 from authguard_r.emergency.opened import open_emergency, require_signer
 from authguard_r.emergency.policy import Caller, EmergencyPolicy
 from authguard_r.gate import rescues
 from authguard_r.gate.roads import open_road
-from authguard_r.keys.authority import revoke
-from authguard_r.rescue import Rescued
+from authguard_r.keys.revoking import revoke
+from authguard_r.rescue import Relief, Rescued
+from authguard_r.rescue_log import Kept
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Emergency, Kind, Order
@@ -135,7 +138,8 @@ def dead(tmp_path: Path, name: str) -> bytes:
     folder = tmp_path / "auth"
     shutil.copytree(emergencies.trust_folder(), folder)
     begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
-    ((_, found),) = revoke(folder, principal=name, serial=None, now=begin, days=30).items()
+    done = revoke(folder, principal=name, serial=None, now=begin, days=30)
+    ((_, found),) = done.lists.items()
     return found.signed
 
 
@@ -562,7 +566,8 @@ def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatc
             house.call(guest, "call-help", key)
         kept = house.service.desk.rescues
         assert kept is not None
-        assert [key for _, key in kept._answers] == ["b", "c"]
+        ((_, answers),) = kept._answers.items()
+        assert [key for _, key in answers] == ["b", "c"]
         asked = rescues._Asked(
             name="u77.other", caller=Caller.PLANNER, capability="call-help", tell=lambda _: None
         )
@@ -581,7 +586,7 @@ def test_an_end_that_nobody_can_write_down_is_said(tmp_path: Path) -> None:
         house.stop(ClientRole.OPERATOR, 1)  # this cannot be held now, and is tried again
         disk.dead = False
         house.advance(300)
-        assert b'"stopped":true' in disk.run(lambda turn: turn.get("emergency", "state"))
+        assert disk.run(lambda turn: turn.get("stop", "operator")) == b"1"
 
 
 def test_only_an_accepted_call_can_be_begun() -> None:
@@ -608,3 +613,213 @@ def test_the_other_orders_leave_a_stop_standing() -> None:
         person = house.enter(ClientRole.OPERATOR, "revokes")
         person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.REVOKE)))
         assert house.road.log.stopped
+
+
+def test_one_clients_calls_push_out_nobody_elses_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a flood of refused calls would let an operator's key be carried out a second time."""
+    monkeypatch.setattr(rescues, "_MOST_KEPT", 2)
+    with Ward(at="station-103", speed_up=1) as house:
+        person, liar = house.enter(ClientRole.OPERATOR, "nurse"), planner(house, "liar")
+        number = house.begin_call(person, "go-safe", "mine")
+        for key in "abcd":
+            house.call(person, "call-help", key)  # not even their own, while it is under way
+            house.call(liar, "call-help", key)
+        assert house.rest(person, number)["execution"]["outcome"] == "succeeded"
+        for key in "efgh":
+            house.call(liar, "call-help", key)
+        again = house.call(person, "go-safe", "mine")
+        assert (again["repeated"], again["ticket"] is not None) == (True, True)
+        assert house.told == [("accept", "go-safe"), ("succeeded", "go-safe")]
+
+
+# an operator's stop, whoever heard it
+
+
+def stands(store: Store, clock: HandClock, *capabilities: dict[str, Any]) -> bool:
+    """Return whether a gate with a policy that begins on a store holds to an operator's stop."""
+    with Ward(
+        *capabilities, store=store, clock=clock, at="station-103", mission=worlds_mission()
+    ) as house:
+        return house.call(planner(house), "go-safe")["reasons"] == ["STOPPED"]
+
+
+def plain_house(store: Store, clock: HandClock) -> House:
+    """Return a gate of the same robot without an emergency policy."""
+    return House(
+        store=store,
+        clock=clock,
+        site=emergencies.site(),
+        trust=emergencies.trust_folder(),
+        mission=worlds_mission(),
+    )
+
+
+@pytest.mark.parametrize("behind_ms", [0, HOUR_MS])
+@pytest.mark.parametrize("active", [True, False])
+def test_a_stop_that_a_gate_without_a_policy_heard_stands_at_the_next_with_one(
+    active: bool, behind_ms: int
+) -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    with plain_house(store, clock) as house:
+        if active:
+            house.activate()
+        house.gate.ledger.run(lambda act: act.put("x", "y", b"z"))
+        clock.wrong_ms = -behind_ms
+        house.stop(ClientRole.OPERATOR, 1)
+        house.crashes = True
+    clock.wrong_ms = 0
+    assert stands(store, clock)
+
+
+def test_a_stop_that_was_recorded_while_the_gate_was_off_stands() -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    with House(store=store, clock=clock, robot=False, estimator=False, **_SITE) as house:
+        house.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)  # type: ignore[arg-type]
+    assert stands(store, clock)
+
+
+_SITE: dict[str, Any] = {"site": emergencies.site(), "trust": emergencies.trust_folder()}
+
+
+@pytest.mark.parametrize("goes_on", ["resume", "activate", "suspend"])
+def test_an_order_at_a_gate_without_a_policy_ends_a_stop_when_a_mission_is_active_by_it(
+    goes_on: str,
+) -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    with plain_house(store, clock) as house:
+        if goes_on != "activate":
+            house.activate()
+        house.stop(ClientRole.OPERATOR, 1)
+        if goes_on == "activate":
+            house.activate()
+        elif goes_on == "resume":
+            house.gate.management.command(house.order(Verb.RESUME))
+        else:
+            house.gate.management.command(house.order(Verb.REVOKE))
+    assert stands(store, clock) is (goes_on == "suspend")
+
+
+def test_others_stops_do_not_stand() -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    with plain_house(store, clock) as house:
+        for number, role in enumerate((ClientRole.PLANNER, ClientRole.AUDITOR)):
+            house.stop(role, number + 1)
+    assert not stands(store, clock)
+
+
+def test_a_stop_that_no_disk_took_stands_until_one_does(tmp_path: Path) -> None:
+    disk = Disk()
+    with Ward(at="station-103", store=disk, journal=tmp_path / "journal") as house:
+        guest = planner(house)
+        disk.dead = True
+        house.stop(ClientRole.OPERATOR, 1)
+        assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
+        disk.dead = False
+        assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
+        assert disk.run(lambda turn: turn.get("stop", "operator")) == b"1"
+        disk.dead = True
+        assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]  # as it last said
+        disk.dead = False
+
+
+# uses, over a power cut
+
+
+def test_uses_of_before_a_power_cut_count_for_an_hour_from_now() -> None:
+    """An idle gate commits no clock mark: the next one's clock begins where the last mark was."""
+    store, clock = _Kept(MemoryStore()), HandClock()
+    used = encode_fast(Kept(uses={"go-safe": (1, 48 * HOUR_MS)}))
+    with plain_house(store, clock) as house:
+        clock.ms += 5_000
+        house.gate.ledger.run(lambda act: act.put("emergency", "state", used))
+        house.crashes = True
+    twice = {**emergencies.GO_SAFE, "per_hour": 2}
+    with Ward(twice, store=store, clock=clock, at="station-103") as house:
+        assert house.road.log.uses("go-safe") == (1, 5_000)  # none is still to come, none is gone
+        assert house.call(planner(house), "go-safe")["reasons"] == ["RATE_EXCEEDED"]
+
+
+def test_what_the_journal_had_is_told_once_when_the_store_comes_back_at_the_end(
+    tmp_path: Path,
+) -> None:
+    disk = Disk()
+    with Ward(at="station-103", speed_up=1, journal=tmp_path / "journal", store=disk) as house:
+        disk.dead = True
+        call = house.road.judge("go-safe", Caller.OPERATOR, "u1.nurse")  # type: ignore[arg-type]
+        begun = house.road.begin(call)
+        assert isinstance(begun, Relief)
+        disk.dead = False
+        house.road.ended(call, begun.lease.ticket, Outcome.ABORTED, ())
+        house.advance(300)
+        assert house.told == [("accept", "go-safe"), ("aborted", "go-safe")]
+
+
+# what the gate calls by itself
+
+
+def always(**changes: Any) -> dict[str, Any]:
+    """Return a capability of the gate's own whose guards always hold."""
+    return {**emergencies.GO_SAFE, "id": "mine", "callers": ["gate", "operator"], **changes}
+
+
+def test_what_the_gate_could_not_begin_is_begun_when_its_controller_is_there() -> None:
+    with Ward(always(), at="station-103", robot=False) as house:
+        house.advance(5_000)
+        assert house.told == [("accept", "mine"), ("not_started", "mine")]  # once: nobody is there
+        house.connect_robot()
+        house.advance(20_000)
+        assert house.told[2:] == [("accept", "mine"), ("succeeded", "mine")]
+        house.advance(5_000)
+        assert len(house.told) == 4
+
+
+def test_what_the_gate_could_not_begin_is_called_once_a_second_and_no_oftener() -> None:
+    disk = Disk()
+    made = Ward(always(without=["mission"]), at="station-103", store=disk)
+    told: list[dict[str, Any]] = []
+    road = made.service.desk.rescues
+    assert road is not None
+    road._publish = told.append
+    disk.dead = True
+    with made as house:
+        house.advance(2_500)
+        assert len([event for event in told if event["event"] == "emergency"]) == 3
+        disk.dead = False
+        house.advance(20_000)
+        assert house.told == [("accept", "mine"), ("succeeded", "mine")]
+
+
+# what `status` says
+
+
+def test_status_says_that_a_stop_stands_and_what_became_of_emergencies() -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    with Ward(at="station-103", speed_up=1, store=store, clock=clock) as house:
+        auditor = house.enter(ClientRole.AUDITOR)
+        shown = auditor.ask(Kind.STATUS)
+        assert shown["stop_stands"] is False
+        assert shown["emergency"]["policy"] == "courier-emergency"
+        assert (shown["emergency"]["under_way"], shown["emergency"]["unknown"]) == (None, [])
+        house.begin_call(planner(house), "go-safe")
+        house.advance(500)
+        assert auditor.ask(Kind.STATUS)["emergency"]["under_way"] == "go-safe"
+        house.stop(ClientRole.OPERATOR, 1)
+        assert auditor.ask(Kind.STATUS)["stop_stands"] is True
+        house.crashes = True
+    with Ward(store=store, clock=clock) as house:
+        shown = house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)
+        assert (shown["stop_stands"], shown["emergency"]["unknown"]) == (True, ["go-safe"])
+
+
+def test_status_names_an_emergency_that_nobody_knows_the_end_of() -> None:
+    store, clock = _Kept(MemoryStore()), HandClock()
+    faults = Faults(ignores_stops=True)
+    with Ward(at="station-103", speed_up=1, store=store, clock=clock, faults=faults) as house:
+        auditor, guest = house.enter(ClientRole.AUDITOR), planner(house)
+        number = house.begin_call(guest, "go-safe")
+        house.advance(500)
+        house.stop(ClientRole.OPERATOR, 1)
+        house.robot.state = msgspec.structs.replace(house.robot.state, battery_permille=1_001)
+        assert house.rest(guest, number)["execution"]["outcome"] == "unknown"
+        assert auditor.ask(Kind.STATUS)["emergency"]["unknown"] == ["go-safe"]
+        house.crashes = True

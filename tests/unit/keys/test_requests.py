@@ -26,18 +26,20 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Endorsement
 from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
-from authguard_r.keys.authority import given, issue, next_lists, revoke
+from authguard_r.keys.authority import issue
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.files import install_answer, install_list, write_whole
+from authguard_r.keys.files import write_whole
+from authguard_r.keys.folder import given
+from authguard_r.keys.install import install_answer, install_list, open_answer
 from authguard_r.keys.request import (
     Answer,
     Request,
     Wanted,
     _message,
     make_request,
-    open_answer,
     open_request,
 )
+from authguard_r.keys.revoking import next_lists, revoke
 from authguard_r.keys.setup import init_folder, read_authority
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import pairs, read_certificates, read_trust
@@ -226,7 +228,7 @@ def test_without_the_authoritys_key_nothing_is_given_and_no_list_is_signed(auth:
 
 def test_an_answer_brings_all_that_is_needed(auth: Path, tmp_path: Path) -> None:
     opened = open_answer(answered(auth), NOW)
-    install_answer(tmp_path / "trust", opened)
+    install_answer(tmp_path / "trust", opened, NOW)
     trust = read_trust(tmp_path / "trust")
     assert trust.identify(opened.chains[0], NOW).principal == "operator-1"
     assert {known.authority for known in trust.lists.values()} == {
@@ -238,12 +240,12 @@ def test_an_answer_brings_all_that_is_needed(auth: Path, tmp_path: Path) -> None
 def test_an_answer_never_brings_an_older_list(auth: Path, tmp_path: Path) -> None:
     older = open_answer(answered(auth), NOW)
     next_lists(auth, {"people": {7}}, now=TODAY, days=30)
-    install_answer(tmp_path / "trust", open_answer(answered(auth, _other("b")), NOW))
-    install_answer(tmp_path / "trust", older)
+    install_answer(tmp_path / "trust", open_answer(answered(auth, _other("b")), NOW), NOW)
+    install_answer(tmp_path / "trust", older, NOW)
     lists = read_trust(tmp_path / "trust").lists.values()
     assert {known.authority: known.number for known in lists}["people"] == 2
     next_lists(auth, {"people": set()}, now=TODAY, days=30)
-    install_answer(tmp_path / "trust", open_answer(answered(auth, _other("c")), NOW))
+    install_answer(tmp_path / "trust", open_answer(answered(auth, _other("c")), NOW), NOW)
     lists = read_trust(tmp_path / "trust").lists.values()
     assert {known.authority: known.number for known in lists}["people"] == 3
 
@@ -309,9 +311,17 @@ def test_a_file_that_cannot_be_written_leaves_what_was_there(tmp_path: Path) -> 
 
 
 def test_a_list_is_put_in_a_folder_once(auth: Path, tmp_path: Path) -> None:
-    install_answer(tmp_path / "trust", open_answer(answered(auth), NOW))
+    install_answer(tmp_path / "trust", open_answer(answered(auth), NOW), NOW)
     data = next_lists(auth, {"people": {7}}, now=TODAY, days=30)["people"].signed
     assert install_list(tmp_path / "trust", data, NOW).number == 2
+    path = tmp_path / "trust/revocations/people.json"
+    written = path.stat().st_ino
+    # the very same is there already, as long as it is not over
+    assert install_list(tmp_path / "trust", data, NOW).number == 2
+    assert path.stat().st_ino == written
+    late = Now(NOW.utc_ms + 31 * 86_400_000, 0)
+    other = (auth / "revocations/site.json").read_bytes()
+    assert install_list(tmp_path / "trust", other, NOW).number == 1
     with pytest.raises(AuthenticityError) as error:
-        install_list(tmp_path / "trust", data, NOW)
+        install_list(tmp_path / "trust", data, late)
     assert error.value.reason is Reason.REVOCATION_STALE

@@ -96,10 +96,9 @@ def _count(approvers: list[Principal], issuer: PrincipalId) -> int:
 
 def _ask(case: Case, need: Need) -> Findings:
     """Ask, unless people were asked as often as the mission allows (L6)."""
-    most = case.verified.mission.budgets.prompts
+    place, most = "budgets.prompts", case.verified.mission.budgets.prompts
     asked = case.standing.prompts if case.standing is not None else 0
     if asked >= most:
-        place = "budgets.prompts"
         return (Finding(place, Reason.BUDGET_EXCEEDED, f"at most {most}", str(asked + 1)),)
     return (_finding(Reason.APPROVAL_REQUIRED, need.required, "no open request"),)
 

@@ -12,11 +12,10 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
-from authguard_r.core.quantities import Now, to_timestamp
+from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.checkup.advice import (
     Advice,
@@ -28,40 +27,40 @@ from authguard_r.gate.checkup.advice import (
     unsafe,
     warning,
 )
+from authguard_r.gate.checkup.apart import Files, apart_advice
+from authguard_r.gate.checkup.certificates import (
+    authority_advice,
+    certificate_advice,
+    issued_advice,
+    leaves_of,
+    list_advice,
+)
 from authguard_r.gate.checkup.custody import (
+    CERTIFICATE_END,
+    KEY_END,
+    authority_key_advice,
     file_advice,
     folder_advice,
     key_advice,
     plain_advice,
+    role_of,
     stray_advice,
 )
-from authguard_r.gate.checkup.logbook import counter_advice, store_advice
+from authguard_r.gate.checkup.logbook import counter_advice, store_advice, witness_advice
 from authguard_r.gate.checkup.machine import machine_advice, room_advice
 from authguard_r.gate.checkup.meaning import binding_advice
 from authguard_r.gate.checkup.users import config_advice, user_advice
 from authguard_r.gate.config import GateConfig
 from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.certificate import Leaf, Role, load
-from authguard_r.keys.trust import (
-    ROOT_LISTS,
-    Trust,
-    pairs,
-    read_certificates,
-    read_trust,
-)
+from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.interface import Surface
 from authguard_r.site.model import Site, profile_digest
 
-#: How long before its end a certificate is warned of.
-SOON_MS = 30 * 86_400_000
-#: A list is warned of when less than one in so many parts of its life is left.
-_LEAST_PARTS = 4
 #: The longest path of a Unix socket, in bytes, and the longest name that one has in a run folder.
 _LONGEST_SOCKET = 107
 _LONGEST_NAME = "/sensors.sock"
-_RENEW = "issue it again: authguard keys rotate"
-_FRESH = "authguard keys lists, at its authority; then authguard revocations install"
 
 
 class Setup(Struct, frozen=True, kw_only=True):
@@ -84,7 +83,9 @@ class Setup(Struct, frozen=True, kw_only=True):
         run: the folder of the sockets.
         files: further files that the gate believes: site, binding, safety, configuration.
         counter: the outside counter's file; looked at together with the store.
+        journal: the emergency journal's file.
         deep: read the whole log too; it takes as long as the log.
+        around: folders in which a person's own keys and certificates lie.
     """
 
     demo: bool
@@ -102,7 +103,9 @@ class Setup(Struct, frozen=True, kw_only=True):
     run: Path | None = None
     files: tuple[Path, ...] = ()
     counter: Path | None = None
+    journal: Path | None = None
     deep: bool = False
+    around: tuple[Path, ...] = ()
 
 
 def checkup(setup: Setup, now: Now) -> tuple[Advice, ...]:
@@ -114,7 +117,8 @@ def checkup(setup: Setup, now: Now) -> tuple[Advice, ...]:
         )
     if setup.config is not None:
         found += [*user_advice(setup.config, uid=setup.uid), *config_advice(setup.config)]
-    found += [*_run(setup), *_store(setup, now)]
+        found += witness_advice(setup.config)
+    found += [*_run(setup), *_store(setup, now), *apart_advice(_files(setup))]
     return tuple(map(in_demonstration, found)) if setup.demo else tuple(found)
 
 
@@ -132,11 +136,12 @@ def require_safe(setup: Setup, now: Now) -> tuple[Advice, ...]:
     Low disk space and a wrong clock do not: with these a gate serves stops, and refuses the rest.
 
     Raises:
-        EnvironmentFault: outside a demonstration, something is unsafe; the first is named.
+        EnvironmentFault: something is unsafe, in a demonstration so that it destroys what is
+            there; the first is named.
     """
     found = checkup(setup, now)
-    left = [advice for advice in found if refuses_start(advice)]
-    if left and not setup.demo:
+    left = [advice for advice in found if refuses_start(advice, demo=setup.demo)]
+    if left:
         first = left[0]
         more = f" (and {len(left) - 1} more: authguard doctor)" if len(left) > 1 else ""
         raise EnvironmentFault(
@@ -166,60 +171,38 @@ def _trust(setup: Setup, now: Now) -> Iterator[Advice]:
             place=str(setup.trust),
             mend="make a set-up whose keys stay on their own machines",
         )
-    yield from _lists(trust, setup.trust, now)
+    yield from list_advice(trust, setup.trust, now)
+    yield from authority_advice(trust, setup.trust, now)
+    yield from issued_advice(sorted(setup.trust.glob("issued/*.cert.pem")), trust, now)
     own = () if setup.chain is None else (setup.chain,)
-    for path in sorted({*setup.trust.glob("keys/*.cert.pem"), *own}):
-        yield from _certificate(path, trust, setup, now)
+    beside = _beside(setup, f"*{CERTIFICATE_END}")
+    for path in sorted({*setup.trust.glob(f"keys/*{CERTIFICATE_END}"), *beside, *own}):
+        found = tuple(certificate_advice(path, trust, now))
+        yield from found
+        if path == setup.chain and is_safe(found):
+            part = f"keys/{path.name}"
+            yield from _own_certificate(leaves_of(path, trust, now)[0], part, setup)
 
 
-def _lists(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
-    """Every list as long as it is good; `read_trust` has held each to its authority."""
-    for known in trust.lists.values():
-        where = folder / "revocations" / f"{known.authority}.json"
-        part, told = f"revocations/{known.authority}", to_timestamp(known.next_update_ms)
-        left_ms, life_ms = known.next_update_ms - now.utc_ms, known.next_update_ms - known.issued_ms
-        if left_ms < 0:
-            message = f"stale since {told}: nothing that it covers is believed"
-            yield unsafe(part, Code.REVOCATIONS, message, place=str(where), mend=_FRESH)
-        elif left_ms * _LEAST_PARTS < life_ms:
-            message = f"stale after {told}: less than a quarter of its life is left"
-            yield warning(part, Code.REVOCATIONS, message, place=str(where), mend=_FRESH)
+def _beside(setup: Setup, pattern: str) -> tuple[Path, ...]:
+    """Return what lies beside the parts, a person's own key and certificate among it."""
+    named = {path.resolve() for path in (setup.key, setup.chain) if path is not None}
+    found = sorted(path for folder in setup.around for path in folder.glob(pattern))
+    return tuple(path for path in found if path.resolve() not in named)
 
 
-def _certificate(path: Path, trust: Trust, setup: Setup, now: Now) -> Iterator[Advice]:
-    part = f"keys/{path.name}"
-    try:
-        leaves = [trust.identify(chain, now) for chain in _chains(path)]
-    except AuthGuardError as error:
-        yield unsafe(part, Code.CERTIFICATE, str(error), place=str(path), mend="issue it again")
-        return
-    if len({leaf.root for leaf in leaves}) != len(trust.roots):
-        message = f"expected a chain to each of {len(trust.roots)} roots, got {len(leaves)}"
-        yield unsafe(part, Code.CERTIFICATE, message, place=str(path), mend="issue it again")
-        return
-    until_ms = _ends_ms(path, trust)
-    if until_ms - now.utc_ms < SOON_MS:
-        message = f"usable only until {to_timestamp(until_ms)}"
-        yield warning(part, Code.CERTIFICATE, message, place=str(path), mend=_RENEW)
-    if path == setup.chain:
-        yield from _own_certificate(leaves[0], part, setup)
-
-
-def _ends_ms(path: Path, trust: Trust) -> int:
-    """Return when the first of a file's certificates, or of the roots', ends; lists apart."""
-    found = (*read_certificates(path, most=2 * len(ROOT_LISTS)), *trust.roots)
-    return min(int(cert.not_valid_after_utc.timestamp()) * 1000 for cert in found)
-
-
-def _chains(path: Path) -> list[tuple[bytes, ...]]:
-    """Return the chains in a file, one for each key."""
-    found = pairs(read_certificates(path, most=2 * len(ROOT_LISTS)))
-    return [tuple(cert.public_bytes(Encoding.DER) for cert in chain) for chain in found]
+def _is_gate(setup: Setup) -> bool:
+    """True when a gate is looked at, and not a person's or another machine's own files."""
+    if any(part is not None for part in (setup.config, setup.store, setup.run)):
+        return True
+    return role_of(setup.key, setup.chain) in {None, Role.GATE}
 
 
 def _own_certificate(leaf: Leaf, part: str, setup: Setup) -> Iterator[Advice]:
     """The gate's robot and profile come from here, so configuration and site must agree."""
     place = str(setup.chain)
+    if not _is_gate(setup):
+        return  # whoever it is, it holds
     if leaf.role is not Role.GATE or leaf.robot is None:
         message = f"expected a gate's certificate, got a `{leaf.role}`'s"
         yield unsafe(part, Code.CERTIFICATE, message, place=place, mend="name the gate's own")
@@ -239,8 +222,9 @@ def _own_certificate(leaf: Leaf, part: str, setup: Setup) -> Iterator[Advice]:
 def _custody(setup: Setup) -> Iterator[Advice]:
     """Files, folders and keys."""
     gates = None if setup.key is None else setup.key.resolve()
-    lying = () if setup.trust is None else sorted(setup.trust.glob("keys/*.key.pem"))
-    for path in (path for path in lying if path.resolve() != gates):
+    lying = () if setup.trust is None else setup.trust.glob(f"keys/*{KEY_END}")
+    keys = sorted({*lying, *_beside(setup, f"*{KEY_END}")})
+    for path in (path for path in keys if path.resolve() != gates):
         yield from key_advice(path, uid=None)
     # a shipped binding has a name and no file
     files = (path for path in setup.files if os.path.lexists(path))
@@ -252,20 +236,26 @@ def _custody(setup: Setup) -> Iterator[Advice]:
     yield from folder_advice(around, uid=setup.uid)
     if setup.key is not None:
         yield from key_advice(setup.key, uid=setup.uid)
-    for path in () if setup.demo else sorted({*lying, *([setup.key] if setup.key else [])}):
+    for path in () if setup.demo else sorted({*keys, *([setup.key] if setup.key else [])}):
         yield from plain_advice(path)
-    is_gates = any(part is not None for part in (setup.key, setup.chain, setup.config))
-    if is_gates and not setup.demo:  # in a demonstration they all lie together
-        own = () if setup.key is None else (setup.key.parent,)
-        deep = {*own, *(path for path in (setup.trust,) if path)}
-        flat = {path for path in (setup.run, setup.store and setup.store.parent) if path}
-        yield from stray_advice(
-            sorted(deep),
-            own=setup.key,
-            uid=setup.uid,
-            flat=sorted(flat),
-            authorities=_authority_keys(setup.trust),
-        )
+    if not setup.demo:  # in a demonstration they all lie together
+        yield from _strays(setup)
+
+
+def _strays(setup: Setup) -> Iterator[Advice]:
+    """Private keys that do not belong where they lie."""
+    authorities = _authority_keys(setup.trust)
+    is_named = any(part is not None for part in (setup.key, setup.chain, setup.config))
+    if not is_named or not _is_gate(setup):
+        if setup.trust is not None:
+            yield from authority_key_advice(setup.trust, authorities)
+        return
+    own = () if setup.key is None else (setup.key.parent,)
+    deep = {*own, *(path for path in (setup.trust,) if path)}
+    flat = {path for path in (setup.run, setup.store and setup.store.parent) if path}
+    yield from stray_advice(
+        sorted(deep), own=setup.key, uid=setup.uid, flat=sorted(flat), authorities=authorities
+    )
 
 
 def _authority_keys(folder: Path | None) -> dict[bytes, str]:
@@ -279,6 +269,18 @@ def _authority_keys(folder: Path | None) -> dict[bytes, str]:
         require_sound(cert.public_key(), where=name).public_bytes_raw(): name
         for cert, name in named
     }
+
+
+def _files(setup: Setup) -> Files:
+    """Return what is written, and what is read and must not be written over."""
+    root = None if setup.trust is None else setup.trust / "root.pem"
+    read = (root, setup.key, setup.chain, *setup.files)
+    return Files(
+        store=setup.store,
+        counter=setup.counter,
+        journal=setup.journal,
+        read=tuple(dict.fromkeys(path for path in read if path is not None)),
+    )
 
 
 def _run(setup: Setup) -> Iterator[Advice]:
@@ -317,7 +319,8 @@ def _store(setup: Setup, now: Now) -> Iterator[Advice]:
     if setup.config is not None:
         yield room_advice(folder, setup.config.reserve_bytes)
     yield from store_advice(setup.store, now, uid=setup.uid, deep=setup.deep)
-    yield counter_advice(setup.counter, setup.store)
+    witnessed = setup.config is not None and bool(setup.config.witnesses)
+    yield counter_advice(setup.counter, setup.store, witnessed=witnessed)
 
 
 def is_safe(found: tuple[Advice, ...]) -> bool:

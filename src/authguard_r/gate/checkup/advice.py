@@ -43,6 +43,8 @@ class Code(StrEnum):
     OWNER = "OWNER"
     MISSING = "MISSING"
     COUNTER = "COUNTER"
+    SAME_FILE = "SAME_FILE"
+    WITNESS = "WITNESS"
     PATH_LONG = "PATH_LONG"
     USER = "USER"
     SHARED_USER = "SHARED_USER"
@@ -68,6 +70,8 @@ _IN_ONE_FOLDER = frozenset(
 )
 #: With these a gate serves stops and refuses the rest by itself; not starting would help nobody.
 _SERVED = frozenset({Code.CLOCK_BEHIND, Code.CLOCK_KEPT, Code.DISK})
+#: These destroy what is there; no demonstration starts with them either.
+_DESTROYS = frozenset({Code.SAME_FILE})
 
 
 class Advice(Struct, frozen=True, kw_only=True):
@@ -114,6 +118,13 @@ def in_demonstration(advice: Advice) -> Advice:
     return advice
 
 
-def refuses_start(advice: Advice) -> bool:
-    """True when no gate may start with this; False too for what it serves stops with."""
-    return advice.level is Level.UNSAFE and advice.code not in _SERVED
+def refuses_start(advice: Advice, *, demo: bool = False) -> bool:
+    """True when no gate may start with this; False too for what it serves stops with.
+
+    Args:
+        advice: what was found.
+        demo: it is a demonstration, which starts with all that destroys nothing.
+    """
+    if advice.level is not Level.UNSAFE:
+        return False
+    return advice.code in _DESTROYS if demo else advice.code not in _SERVED

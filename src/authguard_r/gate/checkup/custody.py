@@ -20,19 +20,16 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.gate.checkup.advice import Advice, Code, fine, unsafe, warning
 from authguard_r.keys.certificate import Role, read_claims
-from authguard_r.keys.envelope import is_sealed
+from authguard_r.keys.files import holds_key, holds_plain_key
 from authguard_r.keys.signer import read_keys
 
 #: Most files that are looked through for keys in one folder.
 _MOST_FILES = 4_096
-#: How much of a file is read to see whether it is a private key.
-_HEAD_BYTES = 65_536
-_MARK = b"PRIVATE KEY-----"
 #: Whose key somebody can be asked the passphrase of.
 _PEOPLE = frozenset({Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER, Role.SITE_AUTHORITY})
 #: Where no trust folder says whose keys are an authority's.
 _NOBODY: Mapping[bytes, str] = MappingProxyType({})
-_KEY, _CERTIFICATE = ".key.pem", ".cert.pem"
+KEY_END, CERTIFICATE_END = ".key.pem", ".cert.pem"
 
 
 def key_advice(path: Path, *, uid: int | None) -> Iterator[Advice]:
@@ -74,7 +71,7 @@ def plain_advice(path: Path) -> Iterator[Advice]:
 
     A service's key is plain and has to be: nobody is there to ask.
     """
-    if _is_plain(path) and (role := _role_of(path)) in _PEOPLE:
+    if holds_plain_key(path) and (role := role_of(path)) in _PEOPLE:
         yield warning(
             f"keys/{path.name}",
             Code.KEY_PLAIN,
@@ -172,7 +169,7 @@ def stray_advice(
     for real, path in sorted({path.resolve(): path for path in found}.items()):
         if real == mine:
             continue
-        role, authority = _role_of(path), _authority_of(path, authorities)
+        role, authority = role_of(path), _authority_of(path, authorities)
         known = authority is not None or role not in {None, Role.GATE, Role.ESTIMATOR}
         if (own is None and not known) or (role is Role.ESTIMATOR and _is_anothers(path, uid)):
             continue
@@ -182,6 +179,30 @@ def stray_advice(
             f"a private key beside the gate, {_whose(role, authority)}",
             place=str(path),
             mend=f"move {path} to the machine where it signs",
+        )
+
+
+def authority_key_advice(folder: Path, authorities: Mapping[bytes, str]) -> Iterator[Advice]:
+    """Yield every authority's private key in a trust folder, where no gate was named beside it.
+
+    Under its own name it is at home on the authority's machine, and nowhere else; which machine
+    this is, a folder does not say.
+
+    Args:
+        folder: the trust folder.
+        authorities: names of roots and authorities by their public keys.
+    """
+    for path in sorted(_keys_in(folder.rglob("*"))):
+        name = _authority_of(path, authorities)
+        if name is None:
+            continue
+        home = path.parent == folder / "keys" and path.name == f"{name}{KEY_END}"
+        yield (warning if home else unsafe)(
+            "stray key",
+            Code.STRAY_KEY,
+            f"the private key {_whose(None, name)}",
+            place=str(path),
+            mend=f"on any machine but the authority's own: move {path} there",
         )
 
 
@@ -203,35 +224,23 @@ def _authority_of(path: Path, authorities: Mapping[bytes, str]) -> str | None:
 
 def _keys_in(paths: Iterable[Path]) -> Iterator[Path]:
     for path in islice(paths, _MOST_FILES):
-        if path.is_file() and _is_key(path):
+        if path.is_file() and holds_key(path):
             yield path
 
 
-def _is_key(path: Path) -> bool:
+def role_of(key: Path | None, chain: Path | None = None) -> Role | None:
+    """Return what a key's certificate claims; it decides only what people are told.
+
+    Args:
+        key: the key.
+        chain: its certificate; None: the one beside it.
+    """
+    if chain is None and key is not None:
+        chain = key.with_name(key.name.removesuffix(KEY_END) + CERTIFICATE_END)
+    if chain is None:
+        return None
     try:
-        head = _head(path)
-    except OSError:
-        return path.name.endswith(_KEY)  # by its name, when it may not be read
-    return _MARK in head or is_sealed(head)
-
-
-def _is_plain(path: Path) -> bool:
-    try:
-        return _MARK in _head(path)
-    except OSError:
-        return False  # that it cannot be read is said elsewhere
-
-
-def _head(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(_HEAD_BYTES)
-
-
-def _role_of(path: Path) -> Role | None:
-    """Return what the certificate beside a key claims; it decides only what people are told."""
-    beside = path.with_name(path.name.removesuffix(_KEY) + _CERTIFICATE)
-    try:
-        leaf = x509.load_pem_x509_certificates(beside.read_bytes())[0]
+        leaf = x509.load_pem_x509_certificates(chain.read_bytes())[0]
         return read_claims(leaf.public_bytes(Encoding.DER)).role
     except (OSError, ValueError, AuthGuardError):
         return None

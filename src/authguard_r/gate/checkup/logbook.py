@@ -11,6 +11,7 @@ from pathlib import Path
 
 import apsw
 
+from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import decode
@@ -18,6 +19,7 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now
 from authguard_r.gate.checkup.advice import Advice, Code, fine, unsafe, warning
 from authguard_r.gate.checkup.custody import file_advice
+from authguard_r.gate.config import GateConfig
 from authguard_r.ledger import SKEW_MS, High
 from authguard_r.store.sqlite import read_held, read_rows
 from authguard_r.times import SIMULATED
@@ -89,11 +91,37 @@ def _unusable(path: Path, error: AuthGuardError) -> Advice:
     return unsafe("store", Code.STORE, str(error), place=str(path), mend=_HELP)
 
 
-def counter_advice(counter: Path | None, store: Path) -> Advice:
-    """Return what the outside counter of a store is worth."""
+def witness_advice(config: GateConfig) -> Iterator[Advice]:
+    """Yield what a gate's witnesses are worth."""
+    many, quorum = len(config.witnesses), config.quorum
+    if not many:
+        return
+    here = [place.url for place in config.witnesses if place.url.startswith("http:")]
+    if many - len(here) < quorum:
+        message = "the quorum needs a witness on this machine: root here puts back both"
+        mend = "let witnesses of somebody else's be enough: docs/howto/witness.md"
+        yield warning("witness", Code.WITNESS, message, place=", ".join(here), mend=mend)
+    if 2 * quorum <= many:
+        message = f"{quorum} of {many}: two logs can be witnessed at a time, each by others"
+        mend = "let more than half have to agree"
+        yield warning("witness", Code.WITNESS, message, place="gate.quorum", mend=mend)
+    else:
+        yield fine("witness", Code.WITNESS, f"{quorum} of {many} have to agree")
+
+
+def counter_advice(counter: Path | None, store: Path, *, witnessed: bool = False) -> Advice:
+    """Return what the outside counter of a store is worth.
+
+    Args:
+        counter: its file, None without one.
+        store: the store's file.
+        witnessed: there are witnesses, who do as well.
+    """
+    if counter is None and witnessed:
+        return fine("counter", Code.COUNTER, "none; witnesses say how far the log has come")
     if counter is None:
         message = "no outside counter: a store that is put back, or deleted, is not noticed"
-        mend = "authguard gate --counter FILE, on another mount: docs/howto/rollback.md"
+        mend = "authguard gate --counter FILE, or witnesses: docs/howto/rollback.md"
         return warning("counter", Code.COUNTER, message, place=str(store), mend=mend)
     place, folder = str(counter), counter.parent
     if not folder.is_dir():
@@ -110,8 +138,11 @@ def counter_advice(counter: Path | None, store: Path) -> Advice:
 def _anchor(path: Path) -> Advice:
     beside = path.with_suffix(".checkpoint")
     told = "unanchored: a chain alone does not show that its end is missing"
-    if beside.is_file():
-        told = "terminal digest beside the store: whoever writes the one can replace the other"
+    if read_held(path, CHECKPOINT, WITNESSED):
+        told = "cosigned by witnesses; audit verify says how far, given their keys"
+        return fine("anchor", Code.ANCHOR, told, place=str(path))
+    if beside.is_file() or read_held(path, CHECKPOINT, NEWEST):
+        told = "its checkpoint is where the store is: whoever writes the one can replace the other"
     return warning(
         "anchor",
         Code.ANCHOR,

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Merkle tree over the links of a log, and proofs out of it.
+
+Leaf i is L_i. A root stands for the whole log in 32 bytes; a few hashes show that one record is in
+it (inclusion), or that a longer log begins with a shorter one (consistency), to somebody who has
+neither. The hashes are RFC 6962's, so that any witness can check them.
+
+Source: RFC 6962 section 2.1; theorem "Tamper evidence of the anchored log".
+Spec page: docs/spec/checkpoint.md#tree
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import reduce
+from hashlib import sha256
+from typing import Protocol
+
+from msgspec import Struct
+
+#: The root of a log without records.
+EMPTY_ROOT = sha256(b"").digest()
+#: Bytes of a hash.
+HASH_BYTES = 32
+
+
+def leaf_hash(data: bytes) -> bytes:
+    """Return the hash of a leaf."""
+    return sha256(b"\x00" + data).digest()
+
+
+def node_hash(left: bytes, right: bytes) -> bytes:
+    """Return the hash of an inner node."""
+    return sha256(b"\x01" + left + right).digest()
+
+
+class Nodes(Protocol):
+    """Where the roots of complete subtrees are found."""
+
+    def node(self, level: int, index: int) -> bytes:
+        """Return the root of the leaves from `index << level` on, `1 << level` of them."""
+        ...
+
+
+class Frontier(Struct, frozen=True, kw_only=True):
+    """All that is needed to add leaves to a tree and to say its root.
+
+    Args:
+        size: number of leaves.
+        peaks: roots of the complete subtrees that it falls into, the largest first: one for each
+            1 in the binary number `size`.
+    """
+
+    size: int = 0
+    peaks: tuple[bytes, ...] = ()
+
+    def grown(self, leaves: Iterable[bytes]) -> Frontier:
+        """Return the frontier after more leaves, given by their hashes."""
+        size, peaks = self.size, list(self.peaks)
+        for leaf in leaves:
+            peaks.append(leaf)
+            full = size  # each 1 at the low end is a subtree that is joined with its neighbor
+            while full & 1:
+                right = peaks.pop()
+                peaks[-1] = node_hash(peaks[-1], right)
+                full >>= 1
+            size += 1
+        return Frontier(size=size, peaks=tuple(peaks))
+
+    def root(self) -> bytes:
+        """Return the root of the tree."""
+        if not self.peaks:
+            return EMPTY_ROOT
+        return reduce(lambda right, left: node_hash(left, right), reversed(self.peaks))
+
+
+def root_of(nodes: Nodes, size: int) -> bytes:
+    """Return the root of the first `size` leaves."""
+    return _root(nodes, 0, size) if size else EMPTY_ROOT
+
+
+def inclusion_proof(nodes: Nodes, index: int, size: int) -> tuple[bytes, ...]:
+    """Return the hashes that lead from leaf `index` to the root of the first `size` leaves.
+
+    Raises:
+        ValueError: there is no such leaf: a fault of the caller's.
+    """
+    if not 0 <= index < size:
+        raise ValueError(f"no leaf {index} among {size}")
+    proof: list[bytes] = []
+    first, end = 0, size
+    while end - first > 1:
+        middle = first + _split(end - first)
+        if index < middle:
+            proof.append(_root(nodes, middle, end))
+            end = middle
+        else:
+            proof.append(_root(nodes, first, middle))
+            first = middle
+    return tuple(reversed(proof))
+
+
+def consistency_proof(nodes: Nodes, old: int, size: int) -> tuple[bytes, ...]:
+    """Return the hashes that show that `size` leaves begin with the first `old` ones.
+
+    Empty for nothing, and for everything: every log begins with none and with itself.
+
+    Raises:
+        ValueError: there are not that many leaves: a fault of the caller's.
+    """
+    if not 0 <= old <= size:
+        raise ValueError(f"no {old} leaves among {size}")
+    proof: list[bytes] = []
+    first, end = 0, size
+    known = True  # that the verifier has this subtree's hash: it is the old root itself
+    while old not in (0, end):
+        middle = first + _split(end - first)
+        if old <= middle:
+            proof.append(_root(nodes, middle, end))
+            end = middle
+        else:
+            proof.append(_root(nodes, first, middle))
+            first, known = middle, False
+    if old and not known:
+        proof.append(_root(nodes, first, end))
+    return tuple(reversed(proof))
+
+
+def verify_inclusion(
+    leaf: bytes, index: int, size: int, proof: tuple[bytes, ...], root: bytes
+) -> bool:
+    """Return whether the proof leads from a leaf's hash to the root.
+
+    Args:
+        leaf: the leaf's hash.
+        index: its place.
+        size: number of leaves under the root.
+        proof: from anyone.
+        root: authentic.
+    """
+    if not 0 <= index < size:
+        return False
+    node, last, found = index, size - 1, leaf
+    for sibling in proof:
+        if last == 0:
+            return False
+        if node & 1 or node == last:
+            found = node_hash(sibling, found)
+            while not node & 1:  # it had no sibling on these levels
+                node, last = node >> 1, last >> 1
+        else:
+            found = node_hash(found, sibling)
+        node, last = node >> 1, last >> 1
+    return last == 0 and found == root
+
+
+def verify_consistency(
+    old: int, size: int, old_root: bytes, root: bytes, proof: tuple[bytes, ...]
+) -> bool:
+    """Return whether the proof shows that the longer log begins with the shorter one.
+
+    Args:
+        old: number of leaves under `old_root`.
+        size: number of leaves under `root`.
+        old_root: as it was seen.
+        root: as it is said to be now.
+        proof: from anyone.
+    """
+    if old == 0:
+        return old_root == EMPTY_ROOT and not proof and (size > 0 or root == EMPTY_ROOT)
+    if old == size:
+        return old_root == root and not proof
+    if not 0 < old < size:
+        return False
+    whole = old & (old - 1) == 0  # one complete subtree: its root is the first hash
+    hashes = (old_root, *proof) if whole else proof
+    if not hashes:
+        return False
+    node, last = old - 1, size - 1
+    while node & 1:
+        node, last = node >> 1, last >> 1
+    before = after = hashes[0]
+    for sibling in hashes[1:]:
+        if last == 0:
+            return False
+        if node & 1 or node == last:
+            before, after = node_hash(sibling, before), node_hash(sibling, after)
+            while node and not node & 1:
+                node, last = node >> 1, last >> 1
+        else:
+            after = node_hash(after, sibling)
+        node, last = node >> 1, last >> 1
+    return last == 0 and (before, after) == (old_root, root)
+
+
+class MemoryTree:
+    """A tree with all its nodes in memory: for a verifier that reads a log once."""
+
+    def __init__(self) -> None:
+        self._levels: list[list[bytes]] = [[]]
+
+    @property
+    def size(self) -> int:
+        """Number of leaves."""
+        return len(self._levels[0])
+
+    def append(self, leaf: bytes) -> None:
+        """Add a leaf, given by its hash."""
+        self._levels[0].append(leaf)
+        level = 0
+        while len(self._levels[level]) % 2 == 0:
+            if level + 1 == len(self._levels):
+                self._levels.append([])
+            self._levels[level + 1].append(node_hash(*self._levels[level][-2:]))
+            level += 1
+
+    def node(self, level: int, index: int) -> bytes:
+        """Return a complete subtree's root (`Nodes`)."""
+        return self._levels[level][index]
+
+
+def _split(count: int) -> int:
+    """Return the largest power of two that is smaller than `count`, which is 2 or more."""
+    return 1 << (count - 1).bit_length() - 1
+
+
+def _root(nodes: Nodes, first: int, end: int) -> bytes:
+    """Return the root of a range as RFC 6962 splits it: it begins at a complete subtree."""
+    count = end - first
+    if count & (count - 1) == 0:
+        level = count.bit_length() - 1
+        return nodes.node(level, first >> level)
+    middle = first + _split(count)
+    return node_hash(_root(nodes, first, middle), _root(nodes, middle, end))

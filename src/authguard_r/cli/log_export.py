@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard audit export`: the log as a file that anybody can verify, or as a table.
+
+Spec page: docs/spec/audit-record.md#export
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import sys
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from authguard_r.audit.record import read_record, read_sealed
+from authguard_r.audit.verify import Row
+from authguard_r.cli.audit import StoreArgument
+from authguard_r.cli.exported import note_line, row_line
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.log_reading import reading
+from authguard_r.cli.logs import Log
+from authguard_r.cli.out import emit
+from authguard_r.core.encoding import b64, encode_fast
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
+
+#: With one of these at its beginning a cell is a formula to some spreadsheet; four are full-width.
+_FORMULA = (*"=+-@|%\t\r\n", *"\uff1d\uff0b\uff0d\uff20")
+COLUMNS = (
+    *("seq", "time", "kind", "decision", "mission", "version", "who", "reasons", "grant"),
+    *("action", "object", "source", "destination", "ticket", "open", "sealed", "link"),
+)
+#: What a cell may be named in a record's open part: the first that is there.
+_WHO = ("client", "by", "caller", "planner")
+
+
+class Format(StrEnum):
+    """What is written."""
+
+    JSONL = "jsonl"
+    CSV = "csv"
+
+
+def export_command(
+    store: StoreArgument,
+    form: Annotated[
+        Format,
+        typer.Option("--format", help="`jsonl`: what `audit verify` reads; `csv`: for a table."),
+    ] = Format.JSONL,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="A new file (default: standard output).")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Write the log as JSON Lines, its newest checkpoint last, or as CSV.
+
+    JSON Lines hold every byte that is chained and signed: one file and one public key are all that
+    a stranger needs. CSV is for looking at; nobody can verify it. Nothing is verified here.
+    """
+    if out is None and as_json:
+        raise typer.BadParameter("expected --out beside --json", param_hint="--out")
+    with reading(store) as log:
+        count = _write(log, form, out)
+    if out is not None:
+        emit({"file": str(out), "lines": count}, [f"{out}: {count} lines"], as_json=as_json)
+    return 0
+
+
+def _write(log: Log, form: Format, out: Path | None) -> int:
+    lines = _json_lines(log) if form is Format.JSONL else _csv_lines(log.rows)
+    if out is None:
+        return _put(lines, sys.stdout.buffer)
+    if out.exists() or out.is_symlink():
+        raise EnvironmentFault(
+            f"`{out}` is there already", reason=Reason.STORE_UNAVAILABLE, where="--out"
+        )
+    # a log is not for everybody on the machine
+    handle = os.open(out, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    with os.fdopen(handle, "wb") as file:
+        count = _put(lines, file)
+        file.flush()
+        os.fsync(file.fileno())
+    return count
+
+
+def _put(lines: Iterator[bytes], file: io.BufferedIOBase | Any) -> int:
+    count = 0
+    for count, line in enumerate(lines, 1):  # noqa: B007 - the last number is the answer
+        file.write(line)
+    file.flush()
+    return count
+
+
+def _json_lines(log: Log) -> Iterator[bytes]:
+    for row in log.rows:
+        yield row_line(row)
+    if log.notes:
+        yield note_line(log.notes[0])
+
+
+def _csv_lines(rows: Iterator[Row]) -> Iterator[bytes]:
+    yield _line(COLUMNS)
+    for row in rows:
+        cells = _cells(row)
+        yield _line([cell(cells.get(name)) for name in COLUMNS])
+
+
+def _line(cells: Any) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, quoting=csv.QUOTE_ALL).writerow(cells)
+    return text.getvalue().encode()
+
+
+def cell(value: Any) -> str:
+    """Return a cell that is text to every spreadsheet: whoever wrote a log wrote no formulas."""
+    if value is None:
+        return ""
+    text = value if isinstance(value, str) else encode_fast(value).decode()
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return f"'{shown}" if text.startswith(_FORMULA) and text != "-" else shown
+
+
+def _cells(row: Row) -> dict[str, Any]:
+    where = f"record {row.seq}"
+    record = read_record(row.record, where=where)
+    values = {name: item.value for name, item in read_sealed(row.sealed, where=where).items()}
+    opened, link = record.open, record.link
+    action = values.get("action")
+    reasons = opened.get("reasons")
+    return {
+        "seq": row.seq,
+        "time": to_timestamp(link.time_ms),
+        "kind": record.kind,
+        "decision": link.decision,
+        "mission": link.mid,
+        "version": opened.get("version"),
+        "who": next((opened[name] for name in _WHO if name in opened), None),
+        "reasons": " ".join(map(str, reasons)) if isinstance(reasons, list) else reasons,
+        "grant": opened.get("grant"),
+        **_moved(action if isinstance(action, dict) else {}),
+        "ticket": opened.get("ticket"),
+        "open": opened,
+        "sealed": values,
+        "link": b64(row.link),
+    }
+
+
+def _moved(action: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "action": action.get("type"),
+        **{name: action.get(name) for name in ("object", "source", "destination")},
+    }

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard audit show`: a log as a timeline: who asked for what, what was said, how it ended."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from msgspec import Struct
+
+from authguard_r.audit.record import NONE, Record, read_record, read_sealed
+from authguard_r.audit.verify import Row
+from authguard_r.cli.audit import StoreArgument
+from authguard_r.cli.inputs import JsonFlag, wall_now
+from authguard_r.cli.listing import Listing, listing
+from authguard_r.cli.log_reading import reading
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.quantities import to_timestamp
+from authguard_r.core.reasons import Reason
+from authguard_r.gate.explain import who_of
+
+#: How much of a digest a line shows; `--json` has all of it.
+_SHORT = 12
+#: Lines that wait for how a release ended, so that its own line can say it.
+_WAITING = 256
+#: Releases whose end is still to come; more than any robot has.
+_OPEN = 1_024
+_REASONS = frozenset(map(str, Reason))
+
+
+class Wanted(Struct, frozen=True, kw_only=True):
+    """Which records are shown; None: whichever.
+
+    Args:
+        kind: of this kind.
+        refused: with a reason against something.
+        mission: of this mission.
+        client: by whom, as the log names them, or without the number of their user.
+        reason: with this code.
+        since_ms: not before.
+        until_ms: not after.
+        first: from this number on.
+        last: up to this number.
+    """
+
+    kind: str | None = None
+    refused: bool = False
+    mission: str | None = None
+    client: str | None = None
+    reason: str | None = None
+    since_ms: int = 0
+    until_ms: int | None = None
+    first: int = 0
+    last: int | None = None
+
+    def has(self, record: Record, values: dict[str, Any]) -> bool:
+        """True for a record that is shown."""
+        reasons = record.open.get("reasons") or ()
+        return (
+            (self.kind is None or record.kind == self.kind)
+            and (not self.refused or bool(reasons))
+            and (self.mission is None or record.link.mid == self.mission)
+            and (self.reason is None or self.reason in reasons)
+            and self.since_ms <= record.link.time_ms
+            and (self.until_ms is None or record.link.time_ms <= self.until_ms)
+            and self.first <= record.link.seq
+            and (self.client is None or _is_named(self.client, who_of(record, values)))
+        )
+
+
+class _Line(Struct, kw_only=True):
+    """A line that waits: it is printed once nothing before it waits for an end."""
+
+    item: dict[str, Any]
+    text: str
+    ticket: str | None = None
+    ended: str = ""
+
+
+class Timeline:
+    """Lines in the order of the log, each release with its end where that comes soon enough.
+
+    Args:
+        show: takes a record, as data and as a line.
+    """
+
+    def __init__(self, show: Callable[[dict[str, Any], str], None]) -> None:
+        self._show = show
+        self._waiting: deque[_Line] = deque()
+        self._begun: dict[str, tuple[int, str]] = {}
+
+    def see(self, row: Row, record: Record, values: dict[str, Any], *, wanted: bool) -> None:
+        """Take in the next record; one that is not wanted may still say how another ended."""
+        ticket = _ticket(record)
+        began = self._begun.pop(ticket, None) if record.kind == "outcome" and ticket else None
+        if record.kind == "outcome":
+            self._end(ticket, record)
+        elif ticket is not None:
+            self._begun[ticket] = (row.seq, _what(record, values))
+            while len(self._begun) > _OPEN:
+                self._begun.pop(next(iter(self._begun)))
+        if wanted:
+            told = {"seq": row.seq, **msgspec.to_builtins(record)}
+            told["values"] = msgspec.to_builtins(values)
+            text = _line(row.seq, record, values, began)
+            waits = ticket if record.kind != "outcome" else None
+            self._waiting.append(_Line(item=told, text=text, ticket=waits))
+        self._flush(_WAITING)
+
+    def close(self) -> None:
+        """Print what still waits: how it ended, this part of the log does not say."""
+        self._flush(0)
+
+    def _end(self, ticket: str | None, record: Record) -> None:
+        for line in self._waiting:
+            if line.ticket is not None and line.ticket == ticket:
+                line.ticket, line.ended = None, f" -> {record.link.decision}"
+
+    def _flush(self, most: int) -> None:
+        while self._waiting and (self._waiting[0].ticket is None or len(self._waiting) > most):
+            line = self._waiting.popleft()
+            self._show(line.item, line.text + line.ended)
+
+
+def show_command(
+    store: StoreArgument,
+    kind: Annotated[
+        str | None, typer.Option("--kind", help="Only records of this kind (`decision` ...).")
+    ] = None,
+    refused: Annotated[
+        bool, typer.Option("--refused", help="Only what was refused, aborted or not begun.")
+    ] = False,
+    mission: Annotated[
+        str | None, typer.Option("--mission", help="Only records of this mission.")
+    ] = None,
+    client: Annotated[
+        str | None, typer.Option("--client", help="Only what this client or person did.")
+    ] = None,
+    reason: Annotated[
+        str | None, typer.Option("--reason", help="Only records with this reason code.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option("--since", help="Not before, 2026-01-31T14:30:00Z.")
+    ] = None,
+    until: Annotated[str | None, typer.Option("--until", help="Not after.")] = None,
+    first: Annotated[int, typer.Option("--from", help="The first record's number.", min=0)] = 0,
+    last: Annotated[
+        int | None, typer.Option("--to", help="The last record's number.", min=0)
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Print the log as a timeline: who, what, from where to where, what was said, how it ended."""
+    if reason is not None and reason not in _REASONS:
+        raise typer.BadParameter(f"`{reason}` is no reason code", param_hint="--reason")
+    wanted = Wanted(
+        kind=kind,
+        refused=refused,
+        mission=mission,
+        client=client,
+        reason=reason,
+        since_ms=0 if since is None else wall_now(since).utc_ms,
+        until_ms=None if until is None else wall_now(until).utc_ms + 999,  # all of that second
+        first=first,
+        last=last,
+    )
+    with listing("records", as_json=as_json) as out, reading(store) as log:
+        shown = _shown(log.rows, wanted, out)
+        out.end({}, [] if shown else ["no records"])
+    return 0
+
+
+def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing) -> int:
+    """Print each record that is wanted; return how many."""
+    count = 0
+
+    def show(item: dict[str, Any], line: str) -> None:
+        nonlocal count
+        count += 1
+        out.add(item, line)
+
+    timeline = Timeline(show)
+    for row in rows:
+        if wanted.last is not None and row.seq > wanted.last:
+            break
+        record = read_record(row.record, where=f"record {row.seq}")
+        sealed = read_sealed(row.sealed, where=f"record {row.seq}")
+        values = {name: item.value for name, item in sealed.items()}
+        try:
+            timeline.see(row, record, values, wanted=wanted.has(record, values))
+        except (AttributeError, TypeError, ValueError) as error:
+            text = f"expected what such a record holds: {error}"
+            raise MalformedError(text, where=f"record {row.seq}") from error
+    timeline.close()
+    return count
+
+
+def _line(seq: int, record: Record, values: dict[str, Any], began: tuple[int, str] | None) -> str:
+    """Return a record for people; `began` is what an outcome is the end of."""
+    at, reasons = to_timestamp(record.link.time_ms), record.open.get("reasons") or ()
+    what = _what(record, values) if began is None else f"{began[1]} (record {began[0]})"
+    why = f": {', '.join(map(str, reasons))}" if reasons else ""
+    head = f"{seq:5} {at} {record.kind:11}{record.link.decision:17} {record.link.mid:16} "
+    return f"{head}{who_of(record, values):20} {what}{why}".rstrip()
+
+
+def _what(record: Record, values: dict[str, Any]) -> str:
+    """Return what a record is about, in few words."""
+    action = values.get("action")
+    if isinstance(action, list) and action:
+        action = action[0]  # an emergency's
+    if isinstance(action, dict):
+        return _moved(action)
+    opened = record.open
+    if record.kind == "management":
+        return _order(opened, values)
+    if record.kind == "genesis":
+        return f"robot {opened.get('robot')}"
+    if record.kind == "outcome":
+        return f"release {str(opened.get('ticket'))[:_SHORT]}..."
+    return str(opened.get("what") or opened.get("capability") or "")
+
+
+def _moved(action: dict[str, Any]) -> str:
+    """Return an action: what, which thing, from where to where, how."""
+    source, destination = action.get("source"), action.get("destination")
+    if destination in {None, source}:
+        where = "" if source is None else f"at {source}"
+    else:
+        where = f"{source} -> {destination}" if source is not None else f"-> {destination}"
+    how = [f"{name}={value}" for name, value in (action.get("params") or {}).items()]
+    parts = (action.get("type"), action.get("object"), where, *how)
+    return " ".join(str(part) for part in parts if part)
+
+
+def _order(said: dict[str, Any], values: dict[str, Any]) -> str:
+    """Return what an order says: the version, what it takes the place of, the row that it picks."""
+    parts = [str(said["grant"])] if "grant" in said else []
+    parts += [f"{name} {said[name]}" for name in ("row", "version") if name in said]
+    if "verdict" in said:
+        parts.append(f"{said['verdict']} request {said.get('counter')}")
+    old = said.get("supersedes", "-")
+    parts += [f"supersedes {str(old)[:_SHORT]}..."] if old != "-" else []
+    parts += ["no confirmation"] if values.get("confirmation") == "none" else []
+    return ", ".join(parts)
+
+
+def _ticket(record: Record) -> str | None:
+    """Return the release that a record begins or ends."""
+    ticket = record.open.get("ticket")
+    return ticket if isinstance(ticket, str) and ticket != NONE else None
+
+
+def _is_named(wanted: str, who: str) -> bool:
+    return wanted in {who, who.partition(".")[2]}

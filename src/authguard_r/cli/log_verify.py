@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard audit verify`: is the log whole, and who says so?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.audit.note import read_key
+from authguard_r.audit.verify import Verification, verify_rows
+from authguard_r.cli.audit import StoreArgument
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.log_anchors import Asked, Known, known_of
+from authguard_r.cli.log_reading import reading
+from authguard_r.cli.logs import Log
+from authguard_r.cli.out import emit
+from authguard_r.core.quantities import to_timestamp
+
+
+def verify_command(
+    store: StoreArgument,
+    checkpoint: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--checkpoint",
+            help="A checkpoint that was kept elsewhere: a signed note, or a signed terminal "
+            "digest. May be repeated.",
+        ),
+    ] = None,
+    key: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--key", help="The log's verifier key (`audit key`); all that are named sign."
+        ),
+    ] = None,
+    witness: Annotated[
+        list[str] | None,
+        typer.Option("--witness", help="A witness's verifier key. May be repeated."),
+    ] = None,
+    quorum: Annotated[
+        int | None,
+        typer.Option("--quorum", help="How many of the witnesses it takes (default: all).", min=1),
+    ] = None,
+    trust: Annotated[
+        Path | None,
+        typer.Option("--trust", help="A trust folder; its gate's certificate gives the key."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Say whether the log is whole and how it is anchored; tampered: 1, unreadable: 4.
+
+    The first record that is changed, missing, inserted or out of place is named. Only a checkpoint
+    that was signed with a key that you name shows that this is the log that was written, as far as
+    it reaches; the one in the file goes back with the file, so keep one elsewhere. Naming a key or
+    witnesses demands such a checkpoint. A gate that runs tells its log itself.
+    """
+    if quorum is not None and quorum > len(witness or ()):
+        raise typer.BadParameter("expected at least as many witnesses", param_hint="--quorum")
+    asked = Asked(
+        kept=tuple(checkpoint or ()),
+        keys=tuple(read_key(text, where="--key") for text in key or ()),
+        witnesses=tuple(read_key(text, where="--witness") for text in witness or ()),
+        quorum=quorum or len(witness or ()),
+        trust=trust,
+    )
+    with reading(store) as log:
+        known = known_of(asked, log.notes)
+        found = verify_rows(log.rows, anchors=known.anchors)
+    emit(
+        _payload(found, known, log), _lines(found, known, log, own=not asked.kept), as_json=as_json
+    )
+    return 0 if found.whole else 1
+
+
+def _payload(found: Verification, known: Known, log: Log) -> dict[str, Any]:
+    told_by = None if log.gate is None else log.gate.pid
+    return {
+        **msgspec.to_builtins(found),
+        "told_by": told_by,
+        "cosigned": [{"witness": seen.key.name, "time_s": seen.time_s} for seen in known.cosigned],
+        "not_verified": list(known.ignored),
+    }
+
+
+def _lines(found: Verification, known: Known, log: Log, *, own: bool) -> Iterator[str]:
+    if not found.whole:
+        yield f"NOT WHOLE at {found.where}: {found.fault}"
+        return
+    covers = f", {found.anchored_size} of {found.size} records" if found.anchored_size else ""
+    yield f"whole: {found.size} records, head {found.head}"
+    yield f"anchored: {found.anchored}{covers}"
+    for seen in known.cosigned:
+        yield f"  cosigned by {seen.key.name} at {to_timestamp((seen.time_s or 0) * 1_000)}"
+    for why in known.ignored:
+        yield f"  a checkpoint lies with it: not verified: {why}"
+    if found.anchored_size and own:
+        yield "  the checkpoint is the file's own: what was after it may be gone"
+    if not found.anchored_size:
+        yield "  nothing outside says that no record is missing at the end"
+    if log.gate is not None:
+        yield f"  told by the gate that runs (process {log.gate.pid}), not read from disk"

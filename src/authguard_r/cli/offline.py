@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Acts on a store's file: nobody holds it, and its counter is named where it has one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from msgspec import Struct
+
+from authguard_r.anchoring.anchor import KIND, KNOWN, known_number
+from authguard_r.anchoring.counter import Counter, FileCounter
+from authguard_r.anchoring.outside import SAID, Why
+from authguard_r.assembly import Gate, offline_gate
+from authguard_r.cli.gateway import beside_store, told_of
+from authguard_r.cli.inputs import gate_robot, load_site
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.reasons import Reason
+from authguard_r.gate.checkup.apart import Files, apart_advice
+from authguard_r.store.sqlite import read_held
+
+CounterOption = Annotated[
+    Path | None,
+    typer.Option("--counter", help="The store's outside counter, where no gate runs and it has."),
+]
+
+
+class Kept(Struct, frozen=True, kw_only=True):
+    """A store that nobody holds, and what an act on it needs.
+
+    Args:
+        store: its file.
+        trust: the trust folder.
+        site: the site model.
+        robot: which gate of the folder; None: its only one.
+        counter: the store's own, as it was named.
+    """
+
+    store: Path
+    trust: Path
+    site: Path
+    robot: str | None = None
+    counter: Path | None = None
+
+
+@contextmanager
+def offline(place: Kept) -> Iterator[Gate]:
+    """Yield the gate of a store that nobody holds, for one act.
+
+    Raises:
+        EnvironmentFault: as `counter_of`.
+        StoreError: the store cannot be used; a gate that holds it is named.
+    """
+    with told_of(beside_store(place.store), place.store):
+        gate = offline_gate(
+            place.trust,
+            load_site(place.site, place.trust),
+            rid=gate_robot(place.trust, place.robot),
+            store=place.store,
+            counter=counter_of(place.store, place.counter),
+        )
+        try:
+            yield gate
+        finally:
+            gate.close()
+
+
+def counter_of(store: Path, counter: Path | None) -> Counter | None:
+    """Return the counter that was named for a store; nothing is written.
+
+    Raises:
+        EnvironmentFault: the store was counted and none was named, which says of the person at
+            the keyboard more than of the store; or the counter's file is the store's.
+    """
+    if counter is None:
+        if store.is_file() and known_number(read_held(store, KIND, KNOWN)) is not None:
+            why = Why.COUNTER_NOT_NAMED
+            raise _unusable(f"{why}: {SAID[why]}; start the gate, or name --counter", str(store))
+        return None
+    for found in apart_advice(Files(store=store, counter=counter)):
+        raise _unusable(f"{found.message}; {found.mend}", found.place)
+    return FileCounter(counter)
+
+
+def _unusable(message: str, where: str) -> EnvironmentFault:
+    return EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=where)

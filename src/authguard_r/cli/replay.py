@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard audit replay`: is every decision of a log the one that its inputs call for?
+
+The chain says that nothing was changed since it was written, not that it was right. Here each
+decision is made again from the log alone, by the reference oracle, which shares no code with the
+gate. The one place of this distribution that imports it (docs/adr/0021-replay.md).
+Spec page: docs/spec/audit-record.md#replay
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from msgspec import Struct
+
+import authguard_reference as oracle
+from authguard_r.assembly import root_digest
+from authguard_r.audit.record import NONE, Record, read_record, read_sealed
+from authguard_r.audit.verify import Row, Verification, verify_rows
+from authguard_r.cli.audit import StoreArgument
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.listing import Listing, listing
+from authguard_r.cli.log_reading import reading
+from authguard_r.cli.replay_sources import Forged, Inputs, Lacking, Sources
+from authguard_r.core.errors import AuthenticityError
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.trust import Trust, read_trust
+
+#: What broken inputs can make of the oracle, which is written for sound ones.
+_BROKEN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+_UNVERIFIED = "  tokens were read and held to no signature: name --trust"
+
+
+class Difference(Struct, frozen=True, kw_only=True):
+    """One record that no gate would have written.
+
+    Args:
+        seq: its number.
+        kind: its kind.
+        recorded: what a decision's record says, by name; only what differs.
+        recomputed: what its inputs call for; None when they call for nothing.
+        why: what does not hold, empty when only the two above differ.
+    """
+
+    seq: int
+    kind: str
+    recorded: dict[str, Any] = {}
+    recomputed: dict[str, Any] | None = None
+    why: str = ""
+
+
+class Left(Struct, kw_only=True):
+    """How many decisions could not be made again for one reason, and between which records."""
+
+    count: int = 0
+    first: int = 0
+    last: int = 0
+
+
+class Replay:
+    """One pass over a log: what agrees, what differs, what cannot be said.
+
+    Args:
+        trust: whose signatures count; None: tokens are read and held to nothing.
+        first: decisions before this record are not made again; what they stand on is read.
+    """
+
+    def __init__(self, trust: Trust | None, *, first: int = 0) -> None:
+        self._trust = trust
+        self._first = first
+        self._sources = Sources(trust)
+        self.decisions = 0
+        self.agree = 0
+        self.differ = 0
+        self.emergencies = 0
+        self.left: dict[str, Left] = {}
+
+    def see(self, row: Row) -> Difference | None:
+        """Take in one row that follows from those before it; return what is wrong with it.
+
+        Raises:
+            MalformedError: it is no record.
+            AuthenticityError: the log began under another root than the one that is trusted.
+        """
+        record = read_record(row.record, where=f"record {row.seq}")
+        sealed = read_sealed(row.sealed, where=f"record {row.seq}")
+        values = {name: item.value for name, item in sealed.items()}
+        if record.kind == "genesis":
+            self._require_root(record)
+        if record.kind != "decision":
+            self.emergencies += record.kind == "emergency" and record.link.decision == "accept"
+            wrong = self._sources.note(record, values)
+            return None if wrong is None else self._forged(record, wrong)
+        if row.seq < self._first:
+            return None
+        self.decisions += 1
+        return self._decided(record, self._sources.inputs(record, values))
+
+    @property
+    def not_replayable(self) -> int:
+        """Decisions that could not be made again."""
+        return sum(item.count for item in self.left.values())
+
+    def _require_root(self, record: Record) -> None:
+        if self._trust is None or record.open.get("root") in {None, root_digest(self._trust)}:
+            return
+        raise AuthenticityError(
+            "the log began under another root than this folder's",
+            reason=Reason.CERTIFICATE_INVALID,
+            where="--trust",
+        )
+
+    def _decided(self, record: Record, found: Inputs | Lacking | Forged) -> Difference | None:
+        if isinstance(found, Lacking):
+            self._leave(record, found.why)
+            return None
+        if isinstance(found, Forged):
+            return self._forged(record, found)
+        try:
+            again = decided_again(found)
+        except _BROKEN as error:
+            return self._forged(record, Forged(f"no decision comes of it: {error!r}"))
+        told = recorded(record)
+        again["released"] = told["released"] and again["verdict"] == "accept"
+        names = [name for name in told if told[name] != again[name]]
+        if names and not found.ends_known and told["reasons"] == [Reason.CERTIFICATE_EXPIRED]:
+            self._leave(record, "the revocation list of then is not in the log")
+            return None
+        if not names:
+            self.agree += 1
+            return None
+        self.differ += 1
+        return Difference(
+            seq=record.link.seq,
+            kind=record.kind,
+            recorded={name: told[name] for name in names},
+            recomputed={name: again[name] for name in names},
+        )
+
+    def _leave(self, record: Record, why: str) -> None:
+        item = self.left.setdefault(why, Left(first=record.link.seq))
+        item.count += 1
+        item.last = record.link.seq
+
+    def _forged(self, record: Record, wrong: Forged) -> Difference:
+        self.differ += 1
+        return Difference(seq=record.link.seq, kind=record.kind, why=wrong.why)
+
+
+def decided_again(found: Inputs) -> dict[str, Any]:
+    """Return the oracle's decision, in the words of a record."""
+    state, standing = found.values["state"], found.values["standing"]
+    again = oracle.decide(
+        found.mission,
+        digest=found.digest,
+        usable_until_ms=found.usable_until_ms,
+        action=found.values["action"],
+        state=state[0] if state else None,
+        facts=found.facts,
+        now=found.values["now"],
+        standing=standing[0] if standing else None,
+        approvals=found.approvals,
+    )
+    return {
+        "verdict": again["verdict"],
+        "reasons": again["reasons"],
+        "grant": NONE if again["grant"] is None else again["grant"],
+        "required": 1 if again["required"] is None else again["required"],
+        "risk": 0 if again["risk"] is None else again["risk"],
+    }
+
+
+def recorded(record: Record) -> dict[str, Any]:
+    """Return what a decision's record says."""
+    opened = record.open
+    return {
+        "verdict": record.link.decision,
+        "reasons": opened.get("reasons"),
+        "grant": opened.get("grant"),
+        "required": opened.get("required"),
+        "risk": opened.get("risk"),
+        "released": opened.get("ticket") != NONE,
+    }
+
+
+def replayed(rows: Iterable[Row], replay: Replay, out: Listing) -> Verification:
+    """Verify a log and replay it in one pass; each difference is told as it is found.
+
+    Args:
+        rows: the log, from a store that nobody trusts.
+        replay: what counts.
+        out: where differences go.
+    """
+
+    def followed() -> Iterator[Row]:
+        for row in rows:
+            yield row  # whoever verifies asks for the next one only when this one held
+            out.tick(row.seq)
+            wrong = replay.see(row)
+            if wrong is not None:
+                out.add(_told(wrong), *_wrong_lines(wrong))
+
+    return verify_rows(followed(), terminal=None)
+
+
+def replay_command(
+    store: StoreArgument,
+    trust: Annotated[
+        Path | None,
+        typer.Option("--trust", help="The trust folder: every token is held to its signature."),
+    ] = None,
+    first: Annotated[
+        int, typer.Option("--from", help="Make decisions again from this record on.", min=0)
+    ] = 0,
+    as_json: JsonFlag = False,
+) -> int:
+    """Make every decision of a log again, from the log alone; one that differs: exit 1.
+
+    The log is verified in the same pass: one that is not whole is exit 1, too.
+    """
+    anchor = None if trust is None else read_trust(trust)
+    replay = Replay(anchor, first=first)
+    with listing("differences", as_json=as_json) as out, reading(store) as log:
+        found = replayed(log.rows, replay, out)
+        told_by = None if log.gate is None else log.gate.pid
+        why = [
+            {"why": why, "count": item.count, "first": item.first, "last": item.last}
+            for why, item in replay.left.items()
+        ]
+        rest = {
+            "decisions": replay.decisions,
+            "agree": replay.agree,
+            "differ": replay.differ,
+            "not_replayable": replay.not_replayable,
+            "why": why,
+            "emergencies": replay.emergencies,
+            "verified": anchor is not None,
+            "from": first,
+            "whole": found.whole,
+            "size": found.size,
+            "head": found.head,
+            "fault": found.fault,
+            "where": found.where,
+            "told_by": told_by,
+        }
+        lines = [*_lines(replay, found), *([] if anchor is not None else [_UNVERIFIED])]
+        out.end(rest, lines)
+    return 0 if found.whole and not replay.differ else 1
+
+
+def _lines(replay: Replay, found: Verification) -> Iterator[str]:
+    if found.whole:
+        yield f"whole: {found.size} records, head {found.head}"
+    else:
+        yield f"NOT WHOLE at {found.where}: {found.fault}; replayed up to there"
+    counts = f"{replay.agree} agree, {replay.differ} differ, {replay.not_replayable} not replayable"
+    yield f"replayed: {replay.decisions} decisions, {counts}"
+    for why, item in replay.left.items():
+        yield f"  not replayable {item.count} (record {item.first} to {item.last}): {why}"
+    if replay.emergencies:
+        yield f"  {replay.emergencies} emergency releases: decided by no mission, not made again"
+
+
+def _told(wrong: Difference) -> dict[str, Any]:
+    """Return a difference as data."""
+    return {
+        "seq": wrong.seq,
+        "kind": wrong.kind,
+        "recorded": wrong.recorded,
+        "recomputed": wrong.recomputed,
+        "why": wrong.why,
+    }
+
+
+def _wrong_lines(wrong: Difference) -> Iterator[str]:
+    if wrong.why:
+        yield f"DIFFERS record {wrong.seq} ({wrong.kind}): {wrong.why}"
+        return
+    yield f"DIFFERS record {wrong.seq}"
+    for name, value in wrong.recorded.items():
+        again = None if wrong.recomputed is None else wrong.recomputed[name]
+        yield f"  {name}: recorded {_word(value)}, recomputed {_word(again)}"
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
+    return str(value)

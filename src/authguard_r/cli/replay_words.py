@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate's data in the words of the specification, for whoever decides it again.
+
+Spec page: docs/spec/decision.md
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from authguard_r.core.facts import ActionKind, RegionFacts, SiteFacts
+
+
+def plain(value: Any) -> Any:
+    """Return a struct as the plain JSON data that the specification speaks of."""
+    return msgspec.json.decode(msgspec.json.encode(value, order="deterministic"))
+
+
+def plain_facts(facts: SiteFacts) -> dict[str, Any]:
+    """Return facts in the shape of the specification."""
+    risk = [plain(policy) for policy in facts.risk]
+    return {
+        "digest": facts.digest,
+        "robot": {
+            "rid": facts.robot.rid,
+            "profile": facts.robot.profile,
+            "tools": {kind: sorted(tools) for kind, tools in facts.robot.tools.items()},
+        },
+        "regions": {region: _region(known) for region, known in facts.regions.items()},
+        "objects": dict(facts.objects),
+        "vocabulary": {kind: _kind(model) for kind, model in facts.vocabulary.items()},
+        **({"risk": risk} if risk else {}),
+    }
+
+
+def _region(known: RegionFacts) -> dict[str, Any]:
+    return {
+        "map": known.area.map,
+        "floor": known.area.floor,
+        "points": [list(point) for point in known.area.points],
+        "tags": sorted(known.tags),
+        **({"around": sorted(known.around)} if known.around else {}),
+    }
+
+
+def _kind(model: ActionKind) -> dict[str, Any]:
+    return {
+        "fields": sorted(model.fields),
+        "params": {name: plain(parameter) for name, parameter in model.params.items()},
+        "moves": model.moves,
+        "waits": model.waits,
+        "records": model.records,
+        "stores": model.stores,
+        "transmits": model.transmits,
+        "privacy": model.privacy,
+        "state_writing": model.state_writing,
+    }

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard witness`: a program of its own that signs what a log may not take back."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.cli.inputs import JsonFlag, wall_now
+from authguard_r.cli.out import emit
+
+app = typer.Typer(
+    help="A witness: cosigns a log's checkpoints, each only when it follows from the last.",
+    no_args_is_help=True,
+)
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The witness's folder.")]
+
+
+class WitnessAlgorithm(StrEnum):
+    """What a witness can sign with."""
+
+    ED25519 = "ed25519"
+    ML_DSA_44 = "ml-dsa-44"
+
+
+@app.command("init")
+def init_command(
+    folder: Folder,
+    name: Annotated[
+        str, typer.Option("--name", help="What it signs as: a URL without `https://`, say.")
+    ],
+    algorithm: Annotated[
+        WitnessAlgorithm, typer.Option("--algorithm", help="What it signs with.")
+    ] = WitnessAlgorithm.ED25519,
+    mark: Annotated[
+        Path | None,
+        typer.Option("--mark", help="The mark's file, on another medium (default: in DIR)."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Make a witness with a new key, in a new folder; prints its verifier key.
+
+    Do it as the user that will serve it, and let no gate run as that user.
+    """
+    from authguard_r.keys.algorithms import Algorithm
+    from authguard_r.witness.desk import make_witness
+
+    made = make_witness(folder, name=name, algorithm=Algorithm(algorithm), mark=mark)
+    payload = {"folder": str(folder), "name": made.name, "key": made.key}
+    emit(payload, [made.key], as_json=as_json)
+    return 0
+
+
+@app.command("add")
+def add_command(
+    folder: Folder,
+    log: Annotated[
+        list[str],
+        typer.Option("--log", metavar="VKEY", help="A verifier key of the log; of a hybrid each."),
+    ],
+    replace: Annotated[
+        bool,
+        typer.Option("--replace", help="Replace the keys of a known log; it goes on from there."),
+    ] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Register a log by its verifier keys (`authguard audit key`), which all have to sign.
+
+    From whoever is trusted to know them, not over the network. No witness may serve meanwhile.
+    """
+    from authguard_r.witness.desk import register
+
+    keys, now_s = tuple(log), wall_now(None).utc_ms // 1_000
+    done = register(folder, keys, now_s, again=replace)
+    line = f"{done.origin}: {'registered' if done.changed else 'known already'}"
+    keys_line = f"  {len(done.keys)} keys, which all have to sign" if len(done.keys) > 1 else ""
+    emit(msgspec.to_builtins(done), filter(None, (line, keys_line)), as_json=as_json)
+    return 0
+
+
+@app.command("forget")
+def forget_command(
+    folder: Folder,
+    origin: Annotated[str, typer.Argument(metavar="ORIGIN", help="The log's name.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """Forget a log: what was cosigned of it may be contradicted once it is registered anew.
+
+    For one case: the robot's operator accepted a restored store. It stays in the list of acts.
+    """
+    from authguard_r.witness.desk import forget
+
+    known = forget(folder, origin, wall_now(None).utc_ms // 1_000)
+    lines = [f"{origin}: forgotten; unknown until `authguard witness add`"]
+    emit({"origin": origin, "note": known.note}, lines, as_json=as_json)
+    return 0
+
+
+@app.command("show")
+def show_command(folder: Folder, as_json: JsonFlag = False) -> int:
+    """Show what a witness knows, what it refused, and what operators did; also while it serves."""
+    from authguard_r.witness.state import read_acts, read_evidence, read_folder
+
+    sight = read_folder(folder)
+    evidence, acts = read_evidence(folder), read_acts(folder)
+    logs = [_log(known) for known in sight.logs.values() if known.keys]
+    payload = {
+        "name": sight.identity.name,
+        "key": sight.identity.key,
+        "logs": logs,
+        "evidence": msgspec.to_builtins(evidence),
+        "acts": msgspec.to_builtins(acts),
+    }
+    lines = [sight.identity.key]
+    for log in logs:
+        lines.append(f"{log['origin']}: {log['size']} records, root {log['root'] or 'none yet'}")
+        found = [one.finding for one in evidence if one.origin == log["origin"]]
+        lines += [f"  {found.count(kind)} {kind}" for kind in sorted(set(found))]
+    lines += [f"{act.act} {act.origin}" for act in acts]
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+@app.command("serve")
+def serve_command(
+    folder: Folder,
+    listen: Annotated[
+        str, typer.Option("--listen", metavar="ADDRESS:PORT", help="Where; port 0: any.")
+    ] = "127.0.0.1:0",
+    behind_tls: Annotated[
+        bool,
+        typer.Option("--behind-tls", help="Take an address that a proxy with TLS comes from."),
+    ] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Answer `POST /add-checkpoint` until SIGTERM; its journal goes to standard error.
+
+    Does not start when others can read or write the folder, when another process serves it, or
+    when its files are gone or older than they were.
+    """
+    from authguard_r.witness.desk import open_witness
+    from authguard_r.witness.journal import Journal
+    from authguard_r.witness.server import Ready, read_address, run_witness
+
+    def say(told: Ready) -> None:
+        line = f"{told.name}: witnesses {told.logs} logs at {told.url} (pid {told.pid})"
+        emit(msgspec.to_builtins(told), [line], as_json=as_json)
+
+    address = read_address(listen, behind_tls=behind_tls)
+    witness = open_witness(folder)
+    try:
+        run_witness(witness, address, say, journal=Journal(sys.stderr.fileno()))
+    finally:
+        witness.close()
+    return 0
+
+
+def _log(known: Any) -> dict[str, Any]:
+    """Return what is known of a log, as it is shown."""
+    from authguard_r.audit.note import encode64
+    from authguard_r.witness.state import read_log
+
+    log = read_log(known)
+    root = encode64(log.root) if known.note else None
+    return {
+        "origin": known.origin,
+        "keys": list(known.keys),
+        "size": log.size,
+        "root": root,
+        "time_s": known.time_s if known.note else None,
+        "note": known.note,
+    }

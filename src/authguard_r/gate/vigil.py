@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the gate's loop does for its log's checkpoints, and tells of its witnesses.
+
+Spec page: docs/spec/rollback.md#checkpoints
+"""
+
+from __future__ import annotations
+
+from authguard_r.anchoring.anchor import Anchor, Told
+from authguard_r.anchoring.notary import NotaryPolicy
+from authguard_r.anchoring.quorum import WitnessPolicy
+from authguard_r.gate.config import GateConfig
+from authguard_r.gate.liveness import Liveness
+from authguard_r.gate.notices import Notices
+
+
+def notary_policy(config: GateConfig) -> NotaryPolicy:
+    """Return when checkpoints are made, and who witnesses them."""
+    return NotaryPolicy(
+        records=config.checkpoint_records,
+        every_ms=config.checkpoint_ms,
+        witnesses=WitnessPolicy(
+            places=config.witnesses, quorum=config.quorum, silence_ms=config.witness_ms
+        ),
+    )
+
+
+class Vigil:
+    """Watches over what lies outside of the store.
+
+    Args:
+        anchor: the store, and what is outside of it.
+        liveness: keeps alerts for `status`.
+        notices: records and publishes them.
+    """
+
+    def __init__(self, anchor: Anchor, liveness: Liveness, notices: Notices) -> None:
+        self._anchor = anchor
+        self._liveness = liveness
+        self._notices = notices
+
+    def begin(self) -> None:
+        """Tell of a store that was put back before the gate started."""
+        for told in self._anchor.put_back():
+            self._tell(told)
+
+    def look(self) -> None:
+        """Make a checkpoint if one is due, see to the witnesses, and tell what is to be told."""
+        for told in self._anchor.tick():
+            self._tell(told)
+
+    def _tell(self, told: Told) -> None:
+        if told.over:
+            self._liveness.end(told.what)
+        elif told.recorded:
+            self._liveness.tell(told.what, told.details)
+            self._notices.publish({"event": "alert", "what": told.what, **told.details})
+        else:
+            self._liveness.alert(told.what, told.details)

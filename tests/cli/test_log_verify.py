@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`audit verify`, `export` and `key`: what a stranger does with one file and one public key."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import worlds
+from authguard_r.audit.note import Note, NoteSignature, read_note
+from authguard_r.audit.verify import Row
+from authguard_r.cli import call
+from authguard_r.cli.exported import MAX_LINE, note_line, row_line
+from authguard_r.cli.log_export import COLUMNS, cell
+from authguard_r.core.encoding import encode
+from authguard_r.core.errors import MalformedError
+from authguard_r.keys.algorithms import Algorithm, generate
+from authguard_r.keys.notes import cosign, log_key, sign_text, witness_key
+from authguard_r.keys.signer import read_signer
+from authguard_r.store.sqlite import open_store
+from logs import ROBOT, checkpoint_of, log_of
+
+SIZE = 9
+ROWS = log_of(SIZE)
+AT = 1_763_620_000
+Json = dict[str, Any]
+
+
+class Desk:
+    """One folder with an exported log and its store, and what the last command printed."""
+
+    def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self.folder = folder
+        self._capsys = capsys
+        self.signer = read_signer(*self.gate("key"), *self.gate("cert"))
+        self.note = self.signed(ROWS)
+        code, told = self.json("audit", "key", "--trust", "trust")
+        assert code == 0
+        (self.key,) = told["keys"]
+
+    def gate(self, kind: str, robot: str = ROBOT) -> tuple[Path]:
+        return (self.folder / "trust" / "keys" / f"gate-{robot}.{kind}.pem",)
+
+    def __call__(self, *arguments: str) -> tuple[int, str]:
+        code = call([str(argument) for argument in arguments])
+        out = self._capsys.readouterr()
+        assert "Traceback" not in out.out + out.err
+        return code, out.out or out.err
+
+    def json(self, *arguments: str) -> tuple[int, Any]:
+        code, out = self(*arguments, "--json")
+        return code, json.loads(out)
+
+    def signed(self, rows: list[Row]) -> Note:
+        said = checkpoint_of(rows)
+        return Note(said.text(), sign_text(said.text(), said.origin, self.signer))
+
+    def export(self, rows: list[Row], note: Note | None, name: str = "log.jsonl") -> str:
+        lines = [row_line(row) for row in rows]
+        lines += [] if note is None else [note_line(note.encode())]
+        (self.folder / name).write_bytes(b"".join(lines))
+        return name
+
+    def store(self, rows: list[Row], note: Note | None, name: str = "robot.db") -> str:
+        store = open_store(self.folder / name)
+
+        def job(turn: Any) -> None:
+            for row in rows:
+                turn.append(row.record, row.sealed, row.link)
+            if note is not None:
+                turn.put("checkpoint", "newest", note.encode())
+
+        store.run(job)
+        store.close()
+        return name
+
+    def keep(self, note: Note, name: str = "kept.note") -> str:
+        (self.folder / name).write_bytes(note.encode())
+        return name
+
+
+@pytest.fixture
+def desk(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Desk:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+        path.unlink()
+    return Desk(tmp_path, capsys)
+
+
+# verify
+
+
+def test_a_checkpoint_in_the_file_says_nothing_until_a_key_is_named(desk: Desk) -> None:
+    for name in (desk.export(ROWS, desk.note), desk.store(ROWS, desk.note)):
+        code, told = desk.json("audit", "verify", name)
+        assert (code, told["anchored"], told["anchored_size"]) == (0, "unanchored", 0)
+        assert told["not_verified"] == ["no key was named"]
+        code, text = desk("audit", "verify", name)
+        assert "not verified: no key was named" in text
+        assert "nothing outside says" in text
+        code, told = desk.json("audit", "verify", name, "--key", desk.key)
+        assert (code, told["anchored"], told["anchored_size"]) == (0, "checkpoint", SIZE)
+        assert (told["told_by"], told["fault"], told["where"]) == (None, "", "")
+        code, text = desk("audit", "verify", name, "--trust", "trust")
+        assert (code, f"anchored: checkpoint, {SIZE} of {SIZE} records" in text) == (0, True)
+        assert "the file's own" in text
+
+
+def test_a_checkpoint_that_was_kept_elsewhere_shows_that_the_end_is_gone(desk: Desk) -> None:
+    kept = desk.keep(desk.note)
+    cut = desk.export(ROWS[:6], desk.signed(ROWS[:6]))
+    assert desk.json("audit", "verify", cut, "--key", desk.key)[0] == 0
+    code, told = desk.json("audit", "verify", cut, "--key", desk.key, "--checkpoint", kept)
+    assert (code, told["whole"], told["where"]) == (1, False, "record 6")
+    whole = desk("audit", "verify", desk.store(ROWS, None), "--key", desk.key, "--checkpoint", kept)
+    assert (whole[0], "the file's own" in whole[1]) == (0, False)
+    early = desk.keep(desk.signed(ROWS[:3]), "early.note")
+    given = ("--key", desk.key, "--checkpoint", early, "--checkpoint", kept)
+    code, told = desk.json("audit", "verify", desk.export(ROWS, None), *given)
+    assert (code, told["anchors"]) == (0, [["checkpoint", 3], ["checkpoint", SIZE]])
+    code, told = desk.json("audit", "verify", desk.export(ROWS, None), "--checkpoint", kept)
+    assert (code, told["error"]["where"]) == (5, "--key")
+
+
+def test_a_key_that_signed_nothing_here_is_not_authentic(desk: Desk) -> None:
+    own = generate(Algorithm.ED25519)
+    other = log_key(checkpoint_of(ROWS).origin, own.public_key()).text()
+    code, told = desk.json("audit", "verify", desk.export(ROWS, desk.note), "--key", other)
+    assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
+    for given in (("--key", desk.key), ("--trust", "trust")):
+        code, told = desk.json("audit", "verify", desk.export(ROWS, None), *given)
+        assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
+    (line,) = desk.note.signatures
+    turned = NoteSignature(line.name, line.key_id, bytes(64))
+    forged = desk.export(ROWS, Note(desk.note.text, (turned,)))
+    code, told = desk.json("audit", "verify", forged, "--key", desk.key)
+    assert (code, told["error"]["code"]) == (4, "SIGNATURE_INVALID")
+    assert desk.json("audit", "verify", forged, "--key", "no key")[0] == 4
+
+
+def test_the_checkpoint_of_another_log_is_not_this_ones(desk: Desk) -> None:
+    for origin in ("authguard-r/lifter-1/audit", "example.com/log", "authguard-r/../audit"):
+        text = desk.note.text.replace(checkpoint_of(ROWS).origin, origin)
+        note = Note(text, sign_text(text, origin, desk.signer))
+        name = desk.export(ROWS, note)
+        code, told = desk.json("audit", "verify", name, "--key", desk.key)
+        assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
+        assert desk.json("audit", "verify", name, "--trust", "trust")[0] in {4, 5}
+
+
+def test_a_trust_folder_without_the_gates_certificate_needs_a_key(desk: Desk) -> None:
+    desk.gate("cert")[0].rename("gate.pem")
+    name = desk.export(ROWS, desk.note)
+    assert desk.json("audit", "verify", name, "--trust", "trust")[0] == 5
+    code, told = desk.json(
+        "audit", "key", "--trust", "trust", "--robot", ROBOT, "--cert", "gate.pem"
+    )
+    assert (code, told) == (0, {"robot": ROBOT, "keys": [desk.key]})
+    assert desk.json("audit", "verify", name, "--trust", "trust", "--key", desk.key)[0] == 0
+    assert desk.json("audit", "key", "--trust", "trust", "--robot", ROBOT)[0] == 5
+
+
+def test_witnesses_are_counted_by_their_keys(desk: Desk) -> None:
+    own = [generate(Algorithm.ED25519) for _ in range(3)]
+    keys = [witness_key(f"w{n}.example", key.public_key()) for n, key in enumerate(own)]
+    text = desk.note.text
+    lines = [cosign(text, key.name, held, AT) for key, held in zip(keys, own, strict=True)]
+    name = desk.export(ROWS, Note(text, (*desk.note.signatures, *lines[:2])))
+    given = ["--key", desk.key]
+    for key in keys:
+        given += ["--witness", key.text()]
+    code, told = desk.json("audit", "verify", name, *given, "--quorum", "2")
+    assert (code, told["anchored"]) == (0, "witnessed")
+    assert told["cosigned"] == [
+        {"witness": "w0.example", "time_s": AT},
+        {"witness": "w1.example", "time_s": AT},
+    ]
+    assert "cosigned by w0.example at 2025-" in desk("audit", "verify", name, *given[:6])[1]
+    code, told = desk.json("audit", "verify", name, *given)  # all three
+    assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
+    assert desk.json("audit", "verify", name, *given, "--quorum", "4")[0] == 2
+    assert desk.json("audit", "verify", name, *given, "--quorum", "0")[0] == 2
+    # one key under two names is one witness
+    twin = witness_key("twin.example", own[0].public_key())
+    twice = (lines[0], cosign(text, twin.name, own[0], AT))
+    name = desk.export(ROWS, Note(text, (*desk.note.signatures, *twice)))
+    pair = ["--key", desk.key, "--witness", keys[0].text(), "--witness", twin.text()]
+    assert desk.json("audit", "verify", name, *pair)[0] == 4
+    assert desk.json("audit", "verify", name, *pair, "--quorum", "1")[0] == 0
+    # a log's own key is no witness, whatever it is called
+    assert desk.json("audit", "verify", name, *given[:2], "--witness", desk.key)[0] == 4
+
+
+def test_what_is_no_export_is_unreadable(desk: Desk) -> None:
+    good = row_line(ROWS[0])
+    last = note_line(desk.note.encode())
+    doubled = good.removesuffix(b"}\n") + b',"seq":0}\n'
+    for text in (
+        *(b"{", b"{}\n", b'{"seq":0}\n', good + b"\xff\n", good + b"\n", doubled, last + good),
+        *(good + last + last, b'{"checkpoint":1}\n', b'{"checkpoint":"","x":1}\n'),
+        good.replace(b'"link":"', b'"link":"=') + last,
+        b"{" + b" " * MAX_LINE + good,
+    ):
+        Path("junk.jsonl").write_bytes(text)
+        code, told = desk.json("audit", "verify", "junk.jsonl")
+        assert (code, told["error"]["code"] != "INTERNAL_FAULT") == (4, True), text[:60]
+    Path("empty.jsonl").write_bytes(b"")
+    assert desk.json("audit", "verify", "empty.jsonl")[0] == 4
+
+
+def test_an_export_that_is_spelled_in_another_way_is_read(desk: Desk) -> None:
+    lines = [json.dumps(json.loads(row_line(row))) for row in ROWS]
+    Path("loose.jsonl").write_text("\n".join(lines))
+    assert desk.json("audit", "verify", "loose.jsonl")[1]["whole"]
+
+
+# export
+
+
+def test_an_export_is_the_store_and_is_exported_to_itself(desk: Desk) -> None:
+    store = desk.store(ROWS, desk.note)
+    assert desk.json("audit", "export", store, "--out", "a.jsonl") == (
+        0,
+        {"file": "a.jsonl", "lines": SIZE + 1},
+    )
+    assert Path("a.jsonl").read_bytes() == Path(desk.export(ROWS, desk.note)).read_bytes()
+    assert Path("a.jsonl").stat().st_mode & 0o777 == 0o600
+    for line in Path("a.jsonl").read_bytes().splitlines():
+        assert encode(json.loads(line)) == line
+    assert desk("audit", "export", "a.jsonl", "--out", "b.jsonl")[0] == 0
+    assert Path("b.jsonl").read_bytes() == Path("a.jsonl").read_bytes()
+    code, told = desk.json("audit", "export", store, "--out", "a.jsonl")
+    assert (code, told["error"]["where"]) == (5, "--out")
+    assert desk.json("audit", "export", store)[0] == 2
+    assert desk("audit", "export", "none.db")[0] == 4
+
+
+def test_an_export_goes_to_standard_output(desk: Desk, monkeypatch: Any) -> None:
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding="utf-8"))
+    assert call(["audit", "export", desk.store(ROWS, None)]) == 0
+    assert raw.getvalue() == Path(desk.export(ROWS, None)).read_bytes()
+
+
+def test_a_table_has_a_line_for_each_record(desk: Desk) -> None:
+    code, _ = desk("audit", "export", desk.store(ROWS, desk.note), "--format", "csv", "--out", "t")
+    assert code == 0
+    with Path("t").open(newline="", encoding="utf-8") as file:
+        head, *lines = csv.reader(file)
+    assert head == list(COLUMNS)
+    assert [line[0] for line in lines] == [str(n) for n in range(SIZE)]
+    row = dict(zip(head, lines[2], strict=True))
+    assert (row["kind"], row["decision"], row["mission"]) == ("decision", "reject", "m-1")
+    assert (row["action"], row["destination"]) == ("navigate", "room-2")
+    assert row["reasons"].startswith("RATE_LIMITED ")
+    assert json.loads(row["open"])["deviation"] == [2, 7]
+
+
+@pytest.mark.parametrize("sign", ["=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b"])
+def test_no_cell_is_a_formula(sign: str) -> None:
+    assert cell(f"{sign}cmd|' /C calc'!A0").startswith("'")
+    assert cell("x=1") == "x=1"
+    assert (cell("-"), cell(None), cell(7), cell(["a"])) == ("-", "", "7", '["a"]')
+    assert cell(-7) == "'-7"
+    assert "\n" not in cell("a\nb\x1b[2J")
+
+
+def test_a_damaged_store_is_not_exported_as_if_it_were_text() -> None:
+    with pytest.raises(MalformedError):
+        row_line(Row(0, b"\xff", b"{}", b""))
+    with pytest.raises(MalformedError):
+        note_line(b"\xff")
+
+
+def test_a_note_reads_back_from_an_export(desk: Desk) -> None:
+    line = Path(desk.export(ROWS, desk.note)).read_bytes().splitlines()[-1]
+    assert read_note(json.loads(line)["checkpoint"].encode(), where="") == desk.note

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What people are told of a gate's witnesses, and of a store that was put back."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import worlds
+from authguard_r.assembly import Simulation
+from authguard_r.gate.journal import Journal
+from authguard_r.gate.liveness import Liveness
+from authguard_r.gate.notices import Notices
+from authguard_r.gate.vigil import Vigil
+from authguard_r.store.memory import MemoryStore
+from gates import until
+from restarts import copied
+from unit.gate.robots import config
+from witnesses import SmallWitness, begin, policy
+
+
+class Watched:
+    """A gate's vigil, its alerts and its journal."""
+
+    def __init__(self, sim: Simulation, journal: Path) -> None:
+        self.sim = sim
+        self._path = journal
+        self._file = os.open(journal, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK)
+        ledger = sim.gate.ledger
+        notices = Notices(ledger, lambda: (), Journal(self._file))
+        self.liveness = Liveness(config(), ledger.mono_ms, notices.alert)
+        self.vigil = Vigil(sim.gate.anchor, self.liveness, notices)
+        self.vigil.begin()
+
+    def told(self) -> list[str]:
+        lines = [json.loads(line) for line in self._path.read_text().splitlines()]
+        return [line["what"] for line in lines if line["event"] == "alert"]
+
+    def alerts(self) -> list[tuple[str, bool]]:
+        return [(told["what"], told.get("over", False)) for told in self.liveness.alerts]
+
+    def recorded(self) -> list[str]:
+        rows = self.sim.gate.ledger.peek(lambda turn: turn.rows(0, 1_000))
+        opened = [json.loads(record)["open"] for _, record, _, _ in rows]
+        return [one["what"] for one in opened if "what" in one]
+
+    def close(self) -> None:
+        os.close(self._file)
+
+
+@pytest.fixture
+def witness() -> Iterator[SmallWitness]:
+    with SmallWitness("one") as one:
+        yield one
+
+
+def test_silence_is_an_alert_with_one_record_and_is_over_when_it_ends(
+    witness: SmallWitness, tmp_path: Path
+) -> None:
+    sim = begin(MemoryStore(), policy(witness, silence_ms=90_000))
+    here = Watched(sim, tmp_path / "journal")
+    assert here.alerts() == []
+    witness.stop()
+
+    def passed() -> list[tuple[str, bool]]:
+        sim.gate.enforcer.stop(by="person", is_planner=False)
+        sim.robot.pause(60_000)
+        here.vigil.look()
+        return here.alerts()
+
+    until(passed, "the alert")
+    assert here.alerts() == [("the witnesses are silent", False)]
+    assert here.told() == ["the witnesses are silent"]
+    assert here.recorded().count("the witnesses are silent") == 1
+    witness.start()
+    until(lambda: [passed(), here.alerts()][1][0][1], "its end")
+    assert here.alerts() == [("the witnesses are silent", True)]
+    here.close()
+
+
+def test_a_store_that_was_put_back_is_told_of_at_the_start_or_as_soon_as_it_is_known(
+    witness: SmallWitness, tmp_path: Path
+) -> None:
+    sim = begin(MemoryStore(), policy(witness))
+    store = sim.gate.ledger.store
+    assert isinstance(store, MemoryStore)
+    kept = copied(store)
+    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.close()
+    witness.stop()
+    late = Watched(begin(copied(kept), policy(witness)), tmp_path / "late")
+    assert late.alerts() == []
+    witness.start()
+
+    def passed() -> list[tuple[str, bool]]:
+        late.sim.robot.pause(1_000)
+        late.vigil.look()
+        return late.alerts()
+
+    until(passed, "the alert")
+    early = Watched(begin(kept, policy(witness)), tmp_path / "early")
+    for here in (late, early):
+        assert here.alerts() == [("the store was put back", False)]
+        assert here.told() == here.recorded() == ["the store was put back"]
+        here.close()

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the store holds under a mission's digest is that mission, or the store's fault."""
+
+from __future__ import annotations
+
+import pytest
+
+import deliveries
+import worlds
+from authguard_r.core.encoding import Tag, digest_of, encode_fast
+from authguard_r.core.errors import StoreError
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.quantities import to_ms
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import VerifiedMission
+from authguard_r.templates import Pair, held_mission
+
+MISSION = worlds.mission()
+DIGEST = digest_of(Tag.MISSION, MISSION)
+
+
+def pair(instance: bytes, template: bytes) -> bytes:
+    texts = [token.decode("ascii").strip() for token in (instance, template)]
+    return encode_fast(Pair(instance=texts[0], template=texts[1]))
+
+
+def test_what_is_held_is_the_mission_and_no_authority() -> None:
+    held = held_mission(worlds.token(), DIGEST)
+    assert (held.mission, held.digest) == (MISSION, DIGEST)
+    assert held.expiry_ms == to_ms(MISSION.expiry, where="mission.expiry")
+    assert not isinstance(held, VerifiedMission)
+
+
+def test_a_pair_is_the_mission_that_its_template_was_filled_with() -> None:
+    sim = deliveries.admitted()
+    standing = sim.gate.management.activate(deliveries.token())
+    held = held_mission(pair(deliveries.token(), deliveries.signed()), standing.digest)
+    assert held.mission.mid == "deliver.1"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{}",
+        b'{"instance":',
+        deliveries.signed(),
+        pair(deliveries.token(), worlds.token()),
+        pair(worlds.token(), deliveries.signed()),
+        pair(deliveries.token(deliveries.instance(fill={})), deliveries.signed()),
+        worlds.token(worlds.mission(mission="another")),
+    ],
+    ids=[
+        "nothing",
+        "empty",
+        "half",
+        "template",
+        "no template",
+        "no instance",
+        "outside",
+        "another",
+    ],
+)
+def test_anything_else_under_its_digest_is_the_stores_corruption(data: bytes) -> None:
+    with pytest.raises(StoreError) as error:
+        held_mission(data, Digest(DIGEST))
+    assert (error.value.reason, error.value.where) == (Reason.STORE_CORRUPT, "mission")
