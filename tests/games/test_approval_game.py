@@ -39,8 +39,9 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.intake import Answered, Intake
 from authguard_r.keys import trust as keys
+from authguard_r.keys.algorithms import PrivateKey
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.signer import FileSigner, open_key_file
 from authguard_r.report import Report
 from authguard_reference.approval import scope_of, situation_of
 from authguard_reference.risk import rho
@@ -62,12 +63,16 @@ HONEST = ("supervisor-3", "supervisor-4", "safety-officer-3")
 THIEVES = ("supervisor-1", "supervisor-2")
 
 
+def stolen(name: str) -> PrivateKey:
+    return open_key_file(worlds.trust_folder() / "keys" / f"{name}.key.pem")[0]
+
+
 @cache
 def key(name: str) -> FileSigner:
     """Return a key of somebody by the name of what is wrong, or right, with it."""
     person, _, kind = name.partition("/")
     more: dict[str, Any] = {
-        "": {},
+        "": {"key": stolen(person)} if person in THIEVES else {},
         "second": {},
         "operator": {"role": Role.OPERATOR},
         "other-robot": {"robots": (str(worlds.OTHER),)},
@@ -75,6 +80,8 @@ def key(name: str) -> FileSigner:
         "ends-soon": {"days": 1},
         "pair": {"threshold": 2, "members": THIEVES},
         "with-issuer": {"threshold": 3, "members": ("operator-1", *THIEVES)},
+        "key-of-the-issuer": {"key": stolen("operator-1")},
+        "key-of-a-thief": {"key": stolen(THIEVES[0])},
     }[kind]
     role = more.pop("role", Role.SAFETY_OFFICER if "officer" in person else Role.SUPERVISOR)
     return asking.key_of(worlds.trust_folder(), person, role, **more)
@@ -296,6 +303,26 @@ def one_person_has_two_keys(game: Game, between: Callable[[], None]) -> None:
     game.hand_in(*game.forges(*seconds))
     game.hand_in(*game.forges(*seconds, expires_ms=worlds.START_MS + 60_000))  # another answer
     game.hand_in(*game.asks(*HONEST[: 2 - game.thieves]), *game.kept, *game.kept)
+    between()
+    game.propose()
+
+
+@strategy
+def the_issuer_has_a_second_name(game: Game, between: Callable[[], None]) -> None:
+    game.propose()
+    game.steals()
+    game.hand_in(*game.forges("shadow/key-of-the-issuer"))
+    game.hand_in(*game.asks(*HONEST[: 2 - game.thieves]))
+    between()
+    game.propose()
+
+
+@strategy
+def an_approver_has_a_second_name(game: Game, between: Callable[[], None]) -> None:
+    game.propose()
+    game.steals()
+    if game.thieves:
+        game.hand_in(*game.forges("shadow/key-of-a-thief", "shadow/key-of-a-thief"))
     between()
     game.propose()
 
@@ -574,6 +601,10 @@ def keeping_all() -> Any:
     return patch.object(intake, "is_asked", lambda *_: True)
 
 
+def any_name() -> Any:
+    return patch.object(Intake, "_require_one_name", lambda *_: None)
+
+
 def asked(**fields: str) -> Any:
     """Step 7, with the open question taken for the one that is to be asked."""
     real = gate.check_approval
@@ -707,6 +738,8 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
         ),
         "a_group_of_which_one_is_the_issuer",
     ),
+    "the issuer's key, one name": (lambda: (any_name(),), "the_issuer_has_a_second_name"),
+    "an approver's key, one name": (lambda: (any_name(),), "an_approver_has_a_second_name"),
     "a denial": (
         lambda: (patch.object(check, "Verdict", SimpleNamespace(DENY=None)),),
         "past_a_denial",
