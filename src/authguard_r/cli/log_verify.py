@@ -93,8 +93,11 @@ def _lines(found: Verification, known: Known, log: Log, *, own: bool) -> Iterato
     covers = f", {found.anchored_size} of {found.size} records" if found.anchored_size else ""
     yield f"whole: {found.size} records, head {found.head}"
     yield f"anchored: {found.anchored}{covers}"
+    vouched = max((size for by, size in found.anchors if by == "witnessed"), default=0)
     for seen in known.cosigned:
-        yield f"  cosigned by {seen.key.name} at {to_timestamp((seen.time_s or 0) * 1_000)}"
+        at = to_timestamp((seen.time_s or 0) * 1_000)
+        covers = f": {vouched} records" if vouched else ""
+        yield f"  cosigned by {seen.key.name} at {at}{covers}"
     for why in known.ignored:
         yield f"  a checkpoint lies with it: not verified: {why}"
     if found.anchored_size and own:

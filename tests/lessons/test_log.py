@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults seen in the logs of other projects that guard robots and agents; each is refused here.
+
+One test for one lesson, named after it; the numbers are those of the project's list of lessons.
+"""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import worlds
+from auditing import QUORUM, Genuine, genuine
+from authguard_r.audit.record import read_record
+from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.cli import call
+from authguard_r.cli.exported import note_line, row_line
+from authguard_r.core.errors import StoreError
+from authguard_r.store.sqlite import open_store, read_rows
+from logs import edited, rechained
+
+#: Threads that stop the robot at once, and how often each.
+THREADS, STOPS = 8, 25
+
+
+class Desk:
+    """Verifies files as a user does."""
+
+    def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self._folder, self._capsys = folder, capsys
+        self.log: Genuine = genuine(24, 5)
+
+    def verify(self, rows: tuple[Row, ...], *options: str) -> tuple[int, dict[str, Any], str]:
+        """Return the exit code, and what is told of an export of these rows, in both ways."""
+        path = self._folder / "log.jsonl"
+        note = self.log.notes[self.log.size].encode()
+        path.write_bytes(b"".join([*map(row_line, rows), note_line(note)]))
+        code = call(["audit", "verify", str(path), *options])
+        text = self._capsys.readouterr().out
+        assert call(["audit", "verify", str(path), *options, "--json"]) == code
+        return code, json.loads(self._capsys.readouterr().out), text
+
+    def anchored(self) -> tuple[str, ...]:
+        """Return the options that name keys, witnesses and the checkpoint that was kept."""
+        given = ["--key", self.log.keys[0].text(), "--quorum", str(QUORUM)]
+        for one in self.log.witnesses:
+            given += ["--witness", one.named.text()]
+        return (*given, "--checkpoint", str(self.log.kept()))
+
+
+@pytest.fixture
+def desk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Desk:
+    return Desk(tmp_path, capsys)
+
+
+def test_l8_a_log_that_was_cut_chained_anew_or_deleted_does_not_verify(desk: Desk) -> None:
+    log, given = desk.log, desk.anchored()
+    code, told, _ = desk.verify(log.rows, *given)
+    assert (code, told["anchored"], told["anchored_size"]) == (0, "witnessed", log.size)
+    for size in (0, 1, 11, log.size - 1):  # at 0 everything is gone
+        code, told, text = desk.verify(log.rows[:size], *given)
+        assert (code, told["where"]) == (1, f"record {size}")
+        assert "NOT WHOLE" in text
+        turned = edited(log.rows[size], mid="m-other")
+        changed = rechained([*log.rows[:size], turned, *log.rows[size + 1 :]], size)
+        assert verify_rows(changed).whole
+        assert desk.verify(tuple(changed), *given)[0] == 1
+
+
+def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(desk: Desk) -> None:
+    """Where nobody from outside vouches for the end, that is what is said."""
+    for size in (0, 1, 11, desk.log.size):
+        code, told, text = desk.verify(desk.log.rows[:size])
+        assert (code, told["anchored"], told["anchored_size"]) == (0, "unanchored", 0)
+        assert "nothing outside says that no record is missing at the end" in text
+    # with the key of the log alone the file's own checkpoint shows it
+    key = ("--key", desk.log.keys[0].text())
+    assert desk.verify(desk.log.rows[:-1], *key)[0] == 1
+    code, _, text = desk.verify(desk.log.rows, *key)
+    assert (code, "what was after it may be gone" in text) == (0, True)
+
+
+def test_l8_records_that_are_written_at_once_make_one_chain(tmp_path: Path) -> None:
+    sim = worlds.simulation(store=tmp_path / "robot.db")
+
+    def stops(number: int) -> None:
+        for _ in range(STOPS):
+            sim.gate.enforcer.stop(by=f"person-{number}", is_planner=False)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        assert list(pool.map(stops, range(THREADS))) == [None] * THREADS
+    with pytest.raises(StoreError):  # and nobody else writes beside this gate
+        open_store(tmp_path / "robot.db")
+    sim.gate.close()
+    rows = list(read_rows(tmp_path / "robot.db"))
+    assert verify_rows(rows).whole
+    kinds = [read_record(row.record, where="").kind for row in rows]
+    assert kinds.count("stop") == THREADS * STOPS
