@@ -12,6 +12,7 @@ import pytest
 import worlds
 
 _FOLDER = str(worlds.ROOT / "benchmarks")
+_LENGTHS = ("short", "long")
 _TARGETS = {
     "socket_accept_net": 0.15,
     "socket_refuse_net": 0.15,
@@ -22,6 +23,15 @@ _TARGETS = {
     "soak_memory": 50.0,
     "soak_log_error": 5.0,
     "soak_whole": True,
+}
+_LOG_TARGETS = {
+    "log_append_growth": 1.2,
+    "log_memory": 50.0,
+    "log_verify_short": 2.0,
+    "log_verify_long": 2.0,
+    "log_verify_linear": 1.2,
+    "log_whole_linear": 1.2,
+    "log_whole": True,
 }
 
 
@@ -128,3 +138,80 @@ def test_every_figure_is_a_row_of_the_page(bench: Any) -> None:
     figures = _figures(bench).values()
     page = table.targets({"figures": [one.plain() for one in figures]})
     assert all(one.what in page for one in figures if one.target is not None)
+
+
+def _log_timings(bench: Any, **medians_us: float) -> dict[str, Any]:
+    from log_figures import TRIGGERS
+    from measure import timing_of
+
+    names = [f"log.{what}.{name}" for what in ("append", "verify", "bare") for name in _LENGTHS]
+    names += [f"log.checkpoint.{count}" for count in TRIGGERS]
+    names += [f"insert.bare.{name}" for name in ("log", "checkpoint", "witness")]
+    names += ["log.bare_json.long", "log.witness", "log.replay", "log.replay.verify"]
+    return {
+        name: timing_of([[int(medians_us.get(name.replace(".", "_"), 100) * 1_000)] * 3] * 5)
+        for name in names
+    }
+
+
+def _logged(**changes: Any) -> dict[str, Any]:
+    plain = {
+        "records": 200_000,
+        "short": 10_000,
+        "sizes": [5_000, 50_000],
+        "rss_growth_bytes": 2**20,
+        "whole": True,
+        "verified": 204_600,
+        "verify_ns_a_record": [20_000.0] * 10,
+        "later_over_earlier": 1.0,
+        "file_bytes": 400_000_000,
+    }
+    return {**plain, **changes}
+
+
+def _log_figures(
+    bench: Any, *, timings: dict[str, float] | None = None, told: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    from log_figures import log_figures
+
+    made = log_figures(_log_timings(bench, **timings or {}), _logged(**told or {}))
+    return {figure.id: figure for figure in made}
+
+
+def test_every_target_of_the_log_is_a_figure(bench: Any) -> None:
+    figures = _log_figures(bench)
+    assert {key: one.target for key, one in figures.items() if one.target is not None} == (
+        _LOG_TARGETS
+    )
+    assert all(figures[key].meets for key in _LOG_TARGETS)
+
+
+@pytest.mark.parametrize(
+    ("key", "parts"),
+    [
+        ("log_append_growth", {"timings": {"log_append_long": 121}}),
+        ("log_memory", {"told": {"rss_growth_bytes": 51 * 2**20}}),
+        ("log_verify_short", {"timings": {"log_bare_short": 49}}),
+        ("log_verify_long", {"timings": {"log_bare_long": 49}}),
+        ("log_verify_linear", {"timings": {"log_verify_short": 83, "log_bare_short": 83}}),
+        ("log_whole_linear", {"told": {"later_over_earlier": 1.21}}),
+        ("log_whole_linear", {"told": {"verify_ns_a_record": [20_000.0, 41_000.0]}}),
+        ("log_whole", {"told": {"whole": False}}),
+        ("log_whole", {"told": {"verified": 199_999}}),
+    ],
+)
+def test_a_log_that_falls_short_is_told_apart(bench: Any, key: str, parts: dict[str, Any]) -> None:
+    figures = _log_figures(bench, **parts)
+    assert [name for name in _LOG_TARGETS if not figures[name].meets] == [key]
+
+
+def test_every_figure_and_size_of_the_log_is_a_row_of_the_page(bench: Any) -> None:
+    import table
+
+    figures = _log_figures(bench).values()
+    page = table.targets({"figures": [one.plain() for one in figures]})
+    assert all(one.what in page for one in figures if one.target is not None)
+    sizes = {"open": 1_050, "sealed": 1_623, "link": 32, "tree": 0.5}
+    assert "| one record | 1050 | 1623 | 32 | 0.5 | 2705.5 |" in table.storage(
+        [{"what": "one record", **sizes}]
+    )

@@ -10,10 +10,13 @@ from typing import Annotated, Any
 
 import typer
 from msgspec import Struct, to_builtins
+from msgspec.structs import replace
 
+from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
+    RiskPolicyOption,
     SiteOption,
     TokenOption,
     TrustOption,
@@ -23,11 +26,12 @@ from authguard_r.cli.inputs import (
     read_context,
     read_input,
     read_mission,
+    read_risk_policy,
     read_state,
     text_of,
     wall_now,
 )
-from authguard_r.cli.out import decision_lines, emit, verdict_code
+from authguard_r.cli.out import decision_lines, emit, risk_policy_json, verdict_code
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
@@ -53,6 +57,7 @@ class _Question(Struct, frozen=True, kw_only=True):
 
     verified: VerifiedMission
     facts: SiteFacts
+    risk: VerifiedPolicy | None
     trust: Trust
     standing: Standing | None
     safety: SafetyGate
@@ -77,6 +82,7 @@ def decide_command(
     robot: Annotated[
         str | None, typer.Option("--robot", help="Which gate of the folder is asked.")
     ] = None,
+    risk_policy: RiskPolicyOption = None,
     jsonl: Annotated[
         bool,
         typer.Option(
@@ -89,11 +95,14 @@ def decide_command(
     at = wall_now(now)
     anchor = read_trust(trust)
     model = load_site(site, anchor, at)
+    risk = read_risk_policy(risk_policy, anchor, at)
     facts = gate_facts(trust, anchor, model, now=at, robot=robot)
+    demands = () if risk is None else (risk.policy.policy,)
     verified = read_mission(token, anchor, at)
     question = _Question(
         verified=verified,
-        facts=facts,
+        facts=replace(facts, risk=demands),
+        risk=risk,
         trust=anchor,
         standing=_standing(verified, store),
         safety=EnvelopeGate(default_config(model, facts.robot.rid)),
@@ -106,7 +115,8 @@ def decide_command(
         raise typer.BadParameter("expected an action, or --jsonl", param_hint="--action")
     plain = read_json(text_of(read_input(action), "action"), where="action")
     judged = _decide(question, plain, default, at)
-    emit(_answer(question, judged), decision_lines(judged), as_json=as_json)
+    lines = [*decision_lines(judged), *_counted(risk)]
+    emit(_answer(question, judged), lines, as_json=as_json)
     return verdict_code(judged.decision)
 
 
@@ -137,7 +147,19 @@ def _decide(question: _Question, plain: Any, state: bytes | None, now: Now) -> J
 def _answer(question: _Question, judged: Judged) -> dict[str, Any]:
     influences = question.ledger.influences(judged.action)
     answer = decision_json(judged, authoritative=False)
-    return {**answer, "influenced_by": [to_builtins(item) for item in influences]}
+    return {
+        **answer,
+        "influenced_by": [to_builtins(item) for item in influences],
+        "risk_policy": risk_policy_json(question.risk),
+    }
+
+
+def _counted(risk: VerifiedPolicy | None) -> list[str]:
+    """Return which organization's policy counted beside the mission's, for people."""
+    if risk is None:
+        return []
+    own = risk.policy
+    return [f"  decided with the risk policy of {own.organization}, version {own.version}"]
 
 
 def _stream(question: _Question, default: bytes | None, now: Now) -> int:

@@ -13,15 +13,16 @@ import typer
 
 from authguard_r.anchoring.anchor import read_counter
 from authguard_r.anchoring.counter import Counter, FileCounter
-from authguard_r.approvals.organization import VerifiedPolicy, open_policy
 from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
+    RiskPolicyOption,
     SiteOption,
     TrustOption,
     gate_robot,
     load_site,
     read_binding,
+    read_risk_policy,
     wall_now,
 )
 from authguard_r.cli.out import emit
@@ -61,10 +62,7 @@ def gate_command(
     safety: Annotated[
         Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
     ] = None,
-    risk_policy: Annotated[
-        Path | None,
-        typer.Option("--risk-policy", help="The organization's signed risk policy."),
-    ] = None,
+    risk_policy: RiskPolicyOption = None,
     emergency: Annotated[
         Path | None,
         typer.Option("--emergency-policy", help="A safety officer's signed emergency policy."),
@@ -132,7 +130,7 @@ def gate_command(
         demo=demo,
         key=key,
         simulated=_symbolic(trust, model, rid) if simulate else None,
-        risk=_risk(risk_policy, anchor, now),
+        risk=read_risk_policy(risk_policy, anchor, now),
         counter=kept,
     )
     run_gate(parts, lambda told: _ready(told, signed, as_json=as_json))
@@ -198,10 +196,6 @@ def _safety(path: Path | None, trust: Trust, site: Site, *, rid: RobotId, now: N
             where="--safety",
         )
     return default_config(site, rid)
-
-
-def _risk(path: Path | None, trust: Trust, now: Now) -> VerifiedPolicy | None:
-    return None if path is None else open_policy(read_file(path), verifier=trust, now=now)
 
 
 def _emergency(

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.approvals.organization import VerifiedPolicy, open_policy
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
@@ -51,6 +52,10 @@ BindingOption = Annotated[
         "--binding", help="The planner's tools: YAML, or a shipped name (`binding list`)."
     ),
 ]
+RiskPolicyOption = Annotated[
+    Path | None,
+    typer.Option("--risk-policy", help="The organization's signed risk policy."),
+]
 NowOption = Annotated[
     str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
 ]
@@ -76,6 +81,16 @@ def read_binding(path: Path, site: Site) -> Binding:
 def read_mission(path: Path, trust: Trust, now: Now) -> VerifiedMission:
     """Return the mission in a token file after steps 1 to 3."""
     return verify_mission(read_file(path), verifier=trust, now=now, roles=ISSUER_ROLES)
+
+
+def read_risk_policy(path: Path | None, trust: Trust, now: Now) -> VerifiedPolicy | None:
+    """Return the organization's policy in a token file; None: none was named.
+
+    Raises:
+        MalformedError: no canonical policy, or one that is not sound.
+        AuthenticityError: certificate, signature or role does not hold.
+    """
+    return None if path is None else open_policy(read_file(path), verifier=trust, now=now)
 
 
 def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str | None) -> SiteFacts:

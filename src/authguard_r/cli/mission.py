@@ -12,21 +12,24 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, ask_until, may_ask
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
+    RiskPolicyOption,
     SiteOption,
     TrustOption,
     load_site,
     read_mission,
+    read_risk_policy,
     wall_now,
 )
 from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified
-from authguard_r.cli.out import emit
+from authguard_r.cli.out import emit, risk_policy_json
 from authguard_r.cli.sign import sign_command
 from authguard_r.compile.answers import compile_answered, read_answers
-from authguard_r.compile.card import card_digest, review
+from authguard_r.compile.card import Demand, card_digest, review
 from authguard_r.compile.difference import compare, is_next
 from authguard_r.compile.lint import Severity, finding_lines, lint
 from authguard_r.compile.spoken import row_words
@@ -96,11 +99,16 @@ def review_command(
     against: Annotated[
         Path | None, typer.Option("--against", help="The version before; shows what is added.")
     ] = None,
+    risk_policy: RiskPolicyOption = None,
+    trust: Annotated[
+        Path | None, typer.Option("--trust", help="The trust folder, for --risk-policy.")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Show the operator's card: what is granted, row by row, and what is not."""
+    risk = _risk(risk_policy, trust)
     model, new = load_site(site), read_unverified(mission)
-    card, findings = review(new, model), lint(new, model)
+    card, findings = review(new, model, demand=_demand(risk)), lint(new, model)
     lines = [*card, *finding_lines(findings)]
     changes: list[str] = []
     supersedes: bool | None = None
@@ -116,9 +124,29 @@ def review_command(
         "supersedes": supersedes,
         "digest": mission_digest(new),
         "lint": lint_json(findings),
+        "risk_policy": risk_policy_json(risk),
     }
     emit(payload, lines, as_json=as_json)
     return 0
+
+
+def _risk(policy: Path | None, trust: Path | None) -> VerifiedPolicy | None:
+    """Return the organization's policy, once its signature holds; None: none was named."""
+    if trust is None:
+        if policy is not None:
+            raise typer.BadParameter("needs --trust", param_hint="--risk-policy")
+        return None
+    if policy is None:
+        raise typer.BadParameter("needs --risk-policy", param_hint="--trust")
+    return read_risk_policy(policy, read_trust(trust), wall_now(None))
+
+
+def _demand(risk: VerifiedPolicy | None) -> Demand | None:
+    """Return what the card shows of an organization's policy."""
+    if risk is None:
+        return None
+    own = risk.policy
+    return Demand(organization=own.organization, version=own.version, policy=own.policy)
 
 
 @app.command("lint")

@@ -76,7 +76,8 @@ def counter_of(store: Path, counter: Path | None) -> Counter | None:
             the keyboard more than of the store; or the counter's file is the store's.
     """
     if counter is None:
-        if store.is_file() and known_number(read_held(store, KIND, KNOWN)) is not None:
+        used = store.is_file() and store.stat().st_size > 0  # an empty file is a new store
+        if used and known_number(read_held(store, KIND, KNOWN)) is not None:
             why = Why.COUNTER_NOT_NAMED
             raise _unusable(f"{why}: {SAID[why]}; start the gate, or name --counter", str(store))
         return None

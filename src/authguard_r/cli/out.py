@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
+from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -102,6 +103,19 @@ def decision_lines(judged: Judged) -> list[str]:
             for f in judged.safety.findings
         ]
     return lines
+
+
+def risk_policy_json(risk: VerifiedPolicy | None) -> dict[str, Any] | None:
+    """Return how an answer names the organization's policy that it was worked out with."""
+    if risk is None:
+        return None
+    own = risk.policy
+    return {
+        "organization": own.organization,
+        "version": own.version,
+        "digest": risk.digest,
+        "signer": risk.signer,
+    }
 
 
 def report_lines(report: Report) -> list[str]:

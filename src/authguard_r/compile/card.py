@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from msgspec import Struct
+
 from authguard_r.compile import spoken
 from authguard_r.compile.difference import compare
 from authguard_r.compile.worst import facts_for, worst_risk
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Digest
+from authguard_r.core.identifiers import Digest, Identifier, Positive
 from authguard_r.core.mission import Grant, Mission, RiskPolicy
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.risk import required, tier_of
@@ -23,13 +25,34 @@ from authguard_r.site.model import Site
 RIGHTS = ("record", "store", "transmit")
 
 
-def review(mission: Mission, site: Site) -> tuple[str, ...]:
-    """Return the card's lines; the same mission and site give the same lines."""
+class Demand(Struct, frozen=True, kw_only=True):
+    """What an organization demands beside the mission's own policy, and under which name.
+
+    Args:
+        organization: whose policy it is; whoever makes this has checked that.
+        version: of the policy.
+        policy: its weights, thresholds and roles.
+    """
+
+    organization: Identifier
+    version: Positive
+    policy: RiskPolicy
+
+
+def review(mission: Mission, site: Site, *, demand: Demand | None = None) -> tuple[str, ...]:
+    """Return the card's lines; the same mission, site and demand give the same lines.
+
+    Args:
+        mission: what is signed.
+        site: where it is to be carried out.
+        demand: the organization's; None: nobody named it, and the card says that it may ask more.
+    """
     return (
         *_head(mission, site),
-        *_grants(mission, site),
+        *_grants(mission, site, demand),
         *_totals(mission),
         *_approvals(mission, site),
+        *_demanded(mission, demand),
         *_withheld(mission, site),
         *_bound(mission),
     )
@@ -55,12 +78,12 @@ def _head(mission: Mission, site: Site) -> Iterator[str]:
     yield f"  only in regions: {', '.join(mission.regions) or 'none'}"
 
 
-def _grants(mission: Mission, site: Site) -> Iterator[str]:
+def _grants(mission: Mission, site: Site, demand: Demand | None) -> Iterator[str]:
     yield "It grants:"
     facts = facts_for(mission, site)
     for grant in mission.actions:
         yield from _grant(grant, site)
-        yield f"    {_asked(mission, grant, facts)}"
+        yield f"    {_asked(mission, grant, facts, demand)}"
 
 
 def _grant(grant: Grant, site: Site) -> Iterator[str]:
@@ -103,16 +126,32 @@ def _marks(grant: Grant, site: Site) -> str:
     return f"  [{', '.join(marks)}]" if marks else ""
 
 
-def _asked(mission: Mission, grant: Grant, facts: SiteFacts | None) -> str:
-    """Say in words whom the riskiest action of the grant asks."""
+def _asked(mission: Mission, grant: Grant, facts: SiteFacts | None, demand: Demand | None) -> str:
+    """Say in words whom the riskiest action of the grant asks, by the stricter policy."""
     if facts is None:
         return "nobody can say whom it asks: this site has no such robot"
-    policy = mission.risk_policy
-    risk = max(worst_risk(mission, grant, row, facts) for row in grant.alternatives)
-    count = required(policy, tier_of(policy, risk))
+    own = mission.risk_policy
+    needs = [(*_need(mission, grant, facts, own), "the mission's own policy")]
+    if demand is not None:
+        theirs = f"the policy of {demand.organization}"
+        needs.append((*_need(mission, grant, facts, demand.policy), theirs))
+    count, _, risk, whose = max(needs)
     if count == 1:
-        return f"asks nobody: its risk is at most {risk}"
-    return f"asks {count - 1} further person(s) at its riskiest ({risk})"
+        return f"asks nobody: its risk is at most {risk}{' by either policy' * (len(needs) > 1)}"
+    by = f", by {whose}" * (len(needs) > 1)
+    return f"asks {count - 1} further person(s) at its riskiest ({risk}{by})"
+
+
+def _need(
+    mission: Mission, grant: Grant, facts: SiteFacts, policy: RiskPolicy
+) -> tuple[int, int, int]:
+    """Return how many people the riskiest action asks by a policy, from which tier and risk.
+
+    What is greater is stricter, in the order in which the gate compares (`core.checks.approval`).
+    """
+    risk = max(worst_risk(mission, grant, r, facts, policy=policy) for r in grant.alternatives)
+    tier = tier_of(policy, risk)
+    return required(policy, tier), int(tier), risk
 
 
 def _totals(mission: Mission) -> Iterator[str]:
@@ -141,6 +180,27 @@ def _approvals(mission: Mission, site: Site) -> Iterator[str]:
         f"{spoken.duration(policy.valid_ms)}, at most {mission.budgets.prompts} request(s)"
     )
     yield f"  risk is the sum of: {'; '.join(_weights(policy, site))}"
+
+
+def _demanded(mission: Mission, demand: Demand | None) -> Iterator[str]:
+    """Say what the organization's policy adds; without one, that it may ask for more."""
+    if demand is None:
+        yield "  an organization's risk policy may ask more people: review with --risk-policy"
+        return
+    own, policy = mission.risk_policy, demand.policy
+    roles = ", ".join(role for role in own.roles if role in policy.roles)
+    yield (
+        f"Beside it counts the risk policy of {demand.organization}, version {demand.version}: "
+        "each grant asks whom the stricter of both asks"
+    )
+    yield (
+        f"  below its risk {policy.tau_1} it asks nobody; from {policy.tau_1} a second person, "
+        f"from {policy.tau_2} on {policy.t} people in all, the signer included"
+    )
+    yield (
+        f"  of the roles that both name: {roles or 'none, so nobody can answer'}; a request lives "
+        f"{spoken.duration(min(own.valid_ms, policy.valid_ms))}"
+    )
 
 
 def _weights(policy: RiskPolicy, site: Site) -> Iterator[str]:
@@ -180,4 +240,4 @@ def _bound(mission: Mission) -> Iterator[str]:
         yield f"  takes the place of {mission.supersedes}"
 
 
-__all__ = ["card_digest", "compare", "review"]
+__all__ = ["Demand", "card_digest", "compare", "review"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from authguard_r.core.action import Action
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.mission import Grant, Limit, Mission, Row
+from authguard_r.core.mission import Grant, Limit, Mission, RiskPolicy, Row
 from authguard_r.core.quantities import Now
 from authguard_r.core.risk import rho
 from authguard_r.site.model import Site, facts_of
@@ -29,8 +29,23 @@ def reach(limit: Limit) -> int:
     return max(abs(limit.low), abs(limit.high))
 
 
-def worst_risk(mission: Mission, grant: Grant, row: Row, facts: SiteFacts) -> int:
-    """Return the greatest rho of any action that the row allows."""
+def worst_risk(
+    mission: Mission,
+    grant: Grant,
+    row: Row,
+    facts: SiteFacts,
+    *,
+    policy: RiskPolicy | None = None,
+) -> int:
+    """Return the greatest rho of any action that the row allows.
+
+    Args:
+        mission: of which the grant is.
+        grant: with the bounds.
+        row: of the grant.
+        facts: the site as the gate reads it.
+        policy: whose weights; the mission's own when absent.
+    """
     action = Action(
         type=grant.type,
         tool=grant.tool,
@@ -40,4 +55,5 @@ def worst_risk(mission: Mission, grant: Grant, row: Row, facts: SiteFacts) -> in
         route=row.regions,
         params={limit.parameter: reach(limit) for limit in grant.limits},
     )
-    return rho(action, mission.risk_policy, state=None, facts=facts, now=Now(0, 0))
+    weighed = mission.risk_policy if policy is None else policy
+    return rho(action, weighed, state=None, facts=facts, now=Now(0, 0))

@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 import worlds
 from authguard_r.compile import spoken
 from authguard_r.compile.answers import apply, compile_plain
-from authguard_r.compile.card import card_digest, review
+from authguard_r.compile.card import Demand, card_digest, review
 from authguard_r.compile.difference import compare, is_next
 from authguard_r.compile.lint import lint
 from authguard_r.compile.units import to_integer
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
+from authguard_r.enforcement import evaluate
 from authguard_r.site.source import convert
 
 SET = msgspec.structs.replace
@@ -212,6 +213,51 @@ def test_risks_are_marked_and_what_is_withheld_is_said() -> None:
     sharps = apply(worlds.draft(), {"grants[1].rows[0].object": "Sharps Bin"})
     bin_ = compile_plain(sharps, worlds.site(), now=worlds.NOW, nonce="A" * 22)
     assert "[HAZARDOUS: sharps-bin]" in "\n".join(review(bin_, worlds.site()))
+
+
+@given(
+    thresholds=st.lists(st.integers(0, 40), min_size=2, max_size=2).map(sorted),
+    people=st.integers(2, 4),
+    navigate=st.integers(0, 30),
+)
+@settings(max_examples=30)
+def test_the_card_asks_as_many_as_the_gate_asks_of_the_riskiest_action(
+    thresholds: list[int], people: int, navigate: int
+) -> None:
+    mission, site = worlds.mission(), worlds.site()
+    own = mission.risk_policy
+    types = {**own.types, "navigate": navigate}
+    theirs = SET(own, tau_1=thresholds[0], tau_2=thresholds[1], t=people, types=types)
+    demand = Demand(organization="hospital", version=1, policy=theirs)
+    lines = review(mission, site, demand=demand)
+    said = next(line.strip() for line in lines if line.startswith("    asks "))
+    verified = worlds.verified(mission)
+    judged = evaluate(
+        verified,
+        worlds.navigate("dock", "pharmacy", speed=800),
+        state=worlds.state(),
+        facts=SET(worlds.facts(), risk=(theirs,)),
+        now=worlds.NOW,
+        standing=worlds.active(verified),
+    )
+    need = judged.decision.need
+    assert need is not None
+    if need.required == 1:
+        assert said == f"asks nobody: its risk is at most {need.risk} by either policy"
+    else:
+        assert said.startswith(f"asks {need.required - 1} further person(s) at its riskiest ")
+        assert f"({need.risk}, by the " in said
+
+
+def test_roles_that_no_two_policies_share_are_said_to_be_nobody() -> None:
+    own = worlds.mission().risk_policy
+    policy = SET(own, roles=("site_authority",), valid_ms=own.valid_ms * 2)
+    demand = Demand(organization="hospital", version=3, policy=policy)
+    card = review(worlds.mission(), worlds.site(), demand=demand)
+    line = "  of the roles that both name: none, so nobody can answer; a request lives 2 min"
+    assert line in card
+    alone = review(worlds.mission(), worlds.site())
+    assert sum("--risk-policy" in line for line in alone) == 1
 
 
 def test_a_chooser_that_an_attacker_can_be_is_said_in_full() -> None:
