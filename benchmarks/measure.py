@@ -13,7 +13,7 @@ import statistics
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter_ns
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 #: A timing is worth quoting from this many blocks on.
 LEAST_BLOCKS = 5
@@ -49,6 +49,16 @@ class Timing(NamedTuple):
     p99: float
     samples: int
     medians: tuple[float, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """Return it for JSON, in microseconds."""
+        return {
+            "p50_us": round(self.p50 / 1e3, 3),
+            "p95_us": round(self.p95 / 1e3, 3),
+            "p99_us": round(self.p99 / 1e3, 3),
+            "samples": self.samples,
+            "block_medians_us": [round(median / 1e3, 3) for median in self.medians],
+        }
 
 
 class Effort(NamedTuple):

@@ -17,6 +17,7 @@ from typing import Any
 import approvals
 import durable
 import gate
+import log
 import machine
 import memory
 import signatures
@@ -25,6 +26,7 @@ import stop
 import table
 from figures import figures
 from gate_figures import DAY, gate_figures
+from log_figures import log_figures
 from measure import Effort, Timing
 from overload import Load, overload
 
@@ -53,12 +55,13 @@ STOPS = {"full": (5, 400), "quick": (5, 60)}
 SOAKS = {"full": DAY, "quick": 3_000}
 
 
-def measure(effort: str, folder: Path) -> dict[str, Any]:
+def measure(effort: str, folder: Path, records: int | None = None) -> dict[str, Any]:
     """Return the results of one run.
 
     Args:
         effort: `full` or `quick`.
         folder: an empty folder on the disk that is measured.
+        records: how long the log gets that grows; None: `log.RECORDS`.
     """
     efforts = FULL if effort == "full" else QUICK
     timings: dict[str, Timing] = {}
@@ -86,18 +89,26 @@ def measure(effort: str, folder: Path) -> dict[str, Any]:
     timings |= loaded.timings | stop.stops(*STOPS[effort])
     _say("a day's work, or a slice of it")
     soaked = soak.soak(folder, SOAKS[effort])
+    _say("a log that grows")
+    logged = log.log(folder / "log", effort, records)
+    timings |= logged.timings
     _say("sizes")
-    every = [*figures(timings, revoked), *gate_figures(timings, loaded, soaked)]
+    every = [
+        *figures(timings, revoked),
+        *gate_figures(timings, loaded, soaked),
+        *log_figures(timings, logged.told),
+    ]
     return {
         "schema": "authguard-r/benchmarks/1",
         "effort": effort,
         **machine.describe(folder),
         "conditions": memory.counted(),
         "figures": [figure.plain() for figure in every],
-        "timings": {name: _plain(timing) for name, timing in timings.items()},
+        "timings": {name: timing.plain() for name, timing in timings.items()},
         "revocations": revoked,
         "overload": {**loaded.told, "p99_ms": loaded.p99_ms},
         "soak": soaked,
+        "log": logged.told,
         "sizes": durable.sizes(folder),
         "tokens": signatures.token_sizes(folder),
         "missions": signatures.mission_sizes(folder),
@@ -108,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure, print the table, write what was asked for."""
     options = _options().parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix=".benchmarks-", dir=options.disk) as folder:
-        results = measure("quick" if options.quick else "full", Path(folder))
+        results = measure("quick" if options.quick else "full", Path(folder), options.records)
     text = table.markdown(results)
     print(text)
     if options.json is not None:
@@ -120,7 +131,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="Measure the gate beside its yardsticks.")
-    parser.add_argument("--quick", action="store_true", help="two minutes, with more noise")
+    parser.add_argument("--quick", action="store_true", help="three minutes, with more noise")
+    parser.add_argument("--records", type=int, help="of the log that grows; default: 200,000")
     parser.add_argument("--json", type=Path, help="write the results here")
     parser.add_argument("--markdown", type=Path, help="write the tables here")
     parser.add_argument(
@@ -130,16 +142,6 @@ def _options() -> argparse.ArgumentParser:
         help="a folder on the disk to measure; default: this one's",
     )
     return parser
-
-
-def _plain(timing: Timing) -> dict[str, Any]:
-    return {
-        "p50_us": round(timing.p50 / 1e3, 3),
-        "p95_us": round(timing.p95 / 1e3, 3),
-        "p99_us": round(timing.p99 / 1e3, 3),
-        "samples": timing.samples,
-        "block_medians_us": [round(median / 1e3, 3) for median in timing.medians],
-    }
 
 
 def _say(what: str) -> None:

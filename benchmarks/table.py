@@ -17,8 +17,21 @@ def markdown(results: dict[str, Any]) -> str:
         _shown(results),
         _timings(results),
         _sizes(results),
+        storage(results["log"]["storage"]),
         _tokens("token of the shipped mission, by signature", results["tokens"]),
         _tokens("token of a mission that grows, by what it holds", results["missions"]),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def log_alone(results: dict[str, Any]) -> str:
+    """Return the tables of a run of the log alone."""
+    parts = [
+        _about(results),
+        targets(results),
+        _shown(results),
+        _timings(results),
+        storage(results["log"]["storage"]),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -90,6 +103,19 @@ def _sizes(results: dict[str, Any]) -> str:
         f"| {name.removesuffix('_bytes').replace('_bytes', '').replace('_', ' ')} | {size} |"
         for name, size in results["sizes"].items()
     ]
+    return "\n".join(lines)
+
+
+def storage(rows: list[dict[str, Any]]) -> str:
+    """Return the log's bytes by where they lie."""
+    lines = [
+        "| storage of the log (bytes) | open | sealed | link | tree and notes | together |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        parts = [row[name] for name in ("open", "sealed", "link", "tree")]
+        sizes = " | ".join(str(round(size, 2)) for size in (*parts, sum(parts)))
+        lines.append(f"| {row['what']} | {sizes} |")
     return "\n".join(lines)
 
 

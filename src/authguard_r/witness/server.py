@@ -69,7 +69,7 @@ class Address(Struct, frozen=True):
 
 
 class Ready(Struct, frozen=True, kw_only=True):
-    """A witness that serves."""
+    """A witness that serves, as it says so: a gate's configuration takes `url` and `key`."""
 
     ready: bool
     name: str
@@ -357,7 +357,7 @@ def run_witness(
                 ready=True,
                 name=identity.name,
                 key=identity.key,
-                url=f"http://{bound.text()}{PATH}",
+                url=f"http://{bound.text()}",
                 logs=witness.book.count,
                 pid=os.getpid(),
             )
