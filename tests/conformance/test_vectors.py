@@ -219,6 +219,7 @@ def test_the_vectors_are_what_the_generator_writes_save_for_fresh_keys(tmp_path:
     script = [sys.executable, str(VECTORS / "generate.py"), str(tmp_path)]
     subprocess.run(script, check=True)
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {path.name for path in VECTORS.glob("*.json")}
+    # the log's come from a program of their own, and are held to it by their own test
+    assert written == {path.name for path in VECTORS.glob("*.json")} - {"log.json"}
     for name in written - {"token.json"}:
         assert (tmp_path / name).read_text() == (VECTORS / name).read_text(), name

@@ -183,6 +183,8 @@ def test_the_first_decision_after_a_list_is_refused(site: Site, gate: RunningGat
     site.revoke(gate, "operator-1")
     planner.goes_on()
     planner.end()
+    # a refusal may wait for the next commit
+    until(lambda: "refusal" in {r.kind for r in gate.records()}, "the record of a refusal")
     log = [r for r in gate.records() if r.kind in {"decision", "revocation", "refusal"}]
     at = [r.kind for r in log].index("revocation")
     assert {(r.kind, r.decision) for r in log[:at]} == {("decision", "accept")}

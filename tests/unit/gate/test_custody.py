@@ -11,7 +11,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 import worlds
 from authguard_r.gate.checkup.advice import Code, Level
-from authguard_r.gate.checkup.custody import file_advice, folder_advice, key_advice, stray_advice
+from authguard_r.gate.checkup.custody import (
+    file_advice,
+    folder_advice,
+    key_advice,
+    role_of,
+    stray_advice,
+)
 from unit.gate.robots import ME, mine, robot, write_key
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
@@ -155,6 +161,11 @@ def test_a_key_that_may_not_be_read_is_known_by_its_name(tmp_path: Path) -> None
         (tmp_path / name).chmod(0)
     (found,) = stray_advice([tmp_path], own=tmp_path / "own", uid=ME)
     assert found.place == str(tmp_path / "a.key.pem")
+
+
+def test_what_nobody_named_claims_no_role(tmp_path: Path) -> None:
+    assert role_of(None) is None
+    assert role_of(tmp_path / "gone.key.pem") is None
 
 
 def test_the_robot_of_these_tests_is_mine(tmp_path: Path) -> None:
