@@ -11,6 +11,7 @@ import pytest
 
 import worlds
 from authguard_r.core.provenance import Label
+from authguard_r.site import places
 from authguard_r.site.check import Fault, faults
 from authguard_r.site.model import (
     ActionModel,
@@ -585,8 +586,7 @@ def zigzag(low: int, high: int, within: str | None = None) -> Region:
 def timed(model: Site) -> tuple[Fault, ...]:
     """Return the faults, found in time: what hung for minutes takes a few seconds."""
     with at_most(10):
-        faults(model)
-    return faults(model)
+        return faults(model)
 
 
 def test_regions_may_lie_sixteen_deep_and_not_deeper() -> None:
@@ -602,10 +602,15 @@ def test_a_chain_of_nested_regions_is_refused_at_once() -> None:
     assert told.where == f"regions.{lettered(MOST_DEPTH + 1)}.within"
 
 
-def test_more_regions_or_doors_than_anyone_draws_are_refused_and_not_looked_at() -> None:
+def test_more_regions_or_doors_than_anyone_draws_are_refused_and_not_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     square = drawn((0, 0), (9, 0), (9, 9), (0, 9))
     many = {lettered(n): square for n in range(MOST_REGIONS + 1)}
     assert [fault.where for fault in timed(only(many))] == ["regions"]
+    monkeypatch.setattr(places, "MOST_REGIONS", 3)  # and once more, small
+    assert [f.where for f in faults(only(dict(list(many.items())[:4])))] == ["regions"]
+    monkeypatch.undo()
     lost = Door(between=("cellar", "attic"), at=(0, 0))
     most = faults(doors(*[lost] * (MOST_DOORS - len(worlds.site().doors))))
     assert len(most) == 2 * (MOST_DOORS - len(worlds.site().doors))
@@ -613,7 +618,9 @@ def test_more_regions_or_doors_than_anyone_draws_are_refused_and_not_looked_at()
     assert [fault.where for fault in more] == ["doors"]
 
 
-def test_many_thin_regions_whose_boxes_all_meet_are_refused_and_not_compared() -> None:
+def test_many_thin_regions_whose_boxes_all_meet_are_refused_and_not_compared(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The attack: no two have an area in common, and every pair must be looked at."""
     strips = {
         lettered(n): drawn(
@@ -627,19 +634,24 @@ def test_many_thin_regions_whose_boxes_all_meet_are_refused_and_not_compared() -
     )
     few = dict(list(strips.items())[:30])
     assert faults(only(few)) == ()
+    monkeypatch.setattr(places, "MOST_PAIRS", 100)
+    assert [fault.where for fault in faults(only(few))] == ["regions"]
 
 
 @pytest.mark.parametrize("within", [None, "bbbb"])
 def test_intricate_regions_close_together_are_refused_before_they_cost_minutes(
-    within: str | None,
+    within: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The attack: a megabyte of outlines that run beside each other, or inside one."""
     bands = {lettered(n): zigzag(n * 10, n * 10 + 5, within) for n in range(1, 125)}
     around = {"bbbb": zigzag(0, 10_000_000)} if within else {}
     found = timed(only({**around, **bands}))
-    assert found
-    assert all("not compared further" in fault.message for fault in found)
-    assert faults(only({**around, **dict(list(bands.items())[:3])})) == ()
+    few = only({**around, **dict(list(bands.items())[:3])})
+    assert faults(few) == ()
+    monkeypatch.setattr(places, "MOST_EFFORT", 1_000)
+    for refused in (found, faults(few)):
+        assert refused
+        assert all("not compared further" in fault.message for fault in refused)
 
 
 def test_a_thousand_rooms_side_by_side_are_sound() -> None:
