@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import select
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -208,11 +209,17 @@ def test_the_log_is_read_while_the_gate_holds_the_store(quick: Desk) -> None:
     assert [(line["event"], line.get("pid")) for line in ends] == [("start", pid), ("end", None)]
 
 
+def has_come(process: subprocess.Popen[bytes]) -> bool:
+    """Return whether a process has said something that nobody has read yet."""
+    return bool(select.select([process.stdout], [], [], 0.1)[0])
+
+
 def test_watch_ends_with_the_gate(quick: Desk) -> None:
     told: list[tuple[int, str]] = []
     words = [str(AUTHGUARD), "watch", *(str(word) for word in quick.at)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         until(lambda: any(c["client"].endswith(".cli") for c in watchers(quick)), "the watcher")
+        until(lambda: quick.status() and has_come(process), "an event: it is here, and watches")
         quick.gate.stop_process("gate")
         out, _ = process.communicate(timeout=60)
         told.append((process.returncode, out.decode()))

@@ -103,10 +103,11 @@ def test_what_did_not_go_in_is_said_and_the_others_did(shell: Shell) -> None:
     assert "older.json, at op/trust: expected a list after number 2" in said
 
 
-def test_a_gate_that_has_the_list_does_not_keep_it_from_the_folder() -> None:
-    with RunningGate(simulate=True) as gate:
-        copy = gate.store.parent / "copy"
-        shutil.copytree(gate.trust, copy)
+def test_a_gate_that_has_the_list_does_not_keep_it_from_the_folder(tmp_path: Path) -> None:
+    own, copy = tmp_path / "own", tmp_path / "copy"
+    for folder in (own, copy):  # the tests' own set-up is everybody's
+        shutil.copytree(worlds.trust_folder(), folder)
+    with RunningGate(simulate=True, trust=own) as gate:
         assert call(["keys", "revoke", str(gate.trust), "supervisor-2"]) == 0
         lists = [str(path) for path in sorted((gate.trust / "revocations").glob("*.json"))]
         words = ["revocations", "install", *lists, "--gate", str(gate.socket)]

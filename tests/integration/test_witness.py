@@ -166,8 +166,8 @@ def test_wrong_methods_and_paths_are_told(folder: Path) -> None:
 
 def ask_on(found: Served, logs: list[Log], signed: list[tuple[int, bytes]]) -> None:
     """Ask for ever longer checkpoints until the witness is gone; note what was cosigned."""
+    link = found.link()
     try:
-        link = found.link()
         old = int(post(link, logs[0].ask(0, 1))[1] or 0) if signed else 0
         while True:
             for log in logs:
@@ -180,6 +180,8 @@ def ask_on(found: Served, logs: list[Log], signed: list[tuple[int, bytes]]) -> N
                     old = int(body) if body.strip().isdigit() else old
     except (OSError, http.client.HTTPException):
         pass
+    finally:
+        link.close()
 
 
 def test_what_was_cosigned_is_known_after_every_kill(tmp_path: Path) -> None:
