@@ -19,11 +19,11 @@ from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, w
 from authguard_r.cli.orders import signer_of
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.signing_key import PassphraseFile, require_role
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.units import to_integer
-from authguard_r.core.encoding import Tag, decode, unb64
-from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import (
     ActionType,
     Count,
@@ -38,7 +38,6 @@ from authguard_r.core.identifiers import (
 from authguard_r.core.mission import Comparison, Guard
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import read_token
 from authguard_r.emergency.lint import lint_policy
 from authguard_r.emergency.opened import POLICY_ROLES, open_emergency
 from authguard_r.emergency.policy import Aim, Caller, Capability, EmergencyPolicy, Missing
@@ -46,6 +45,7 @@ from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.templates import claimed
 
 app = typer.Typer(help="What a robot may do in an emergency.", no_args_is_help=True)
 policy_app = typer.Typer(help="The signed policy.", no_args_is_help=True)
@@ -148,13 +148,7 @@ def sign(
     policy = _read(file, model, now_ms=wall_now(None).utc_ms)
     for unsound in lint_policy(policy, model):
         raise MalformedError(unsound.message, where=unsound.where, reason=Reason.SCHEMA_INVALID)
-    leaf = read_trust(trust).identify(signer.chain, wall_now(None))
-    if leaf.role not in POLICY_ROLES:
-        raise RefusedError(
-            f"expected a key of a `safety_officer`, got a `{leaf.role}`'s",
-            reason=Reason.ROLE_DENIED,
-            where="--cert",
-        )
+    require_role(signer, POLICY_ROLES, trust)
     target = out or file.with_suffix(".token")
     return sign_shown(
         policy,
@@ -227,14 +221,7 @@ def claimed_policy(data: bytes) -> EmergencyPolicy:
     Raises:
         MalformedError: no canonical token of an emergency policy.
     """
-    read = read_token(data)
-    if read.kind is not Tag.EMERGENCY_POLICY:
-        raise MalformedError(
-            f"expected a token of kind `{Tag.EMERGENCY_POLICY}`, got `{read.kind}`",
-            where="token.kind",
-            reason=Reason.WRONG_KIND,
-        )
-    return decode(unb64(read.payload, where="token.payload"), EmergencyPolicy, where="emergency")
+    return claimed(data, EmergencyPolicy, tag=Tag.EMERGENCY_POLICY)
 
 
 def _read(file: Path, site: Site, *, now_ms: int) -> EmergencyPolicy:

@@ -21,14 +21,14 @@ from authguard_r.assembly import folder_signer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.units import to_integer
-from authguard_r.core.encoding import Tag, decode, unb64
-from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Positive, RobotId
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import read_token, sign_object
+from authguard_r.core.token import sign_object
 from authguard_r.gate.checkup.advice import Advice, in_demonstration
 from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
 from authguard_r.gate.config import (
@@ -39,12 +39,12 @@ from authguard_r.gate.config import (
     open_gate_config,
     require_witnesses,
 )
-from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.shapes import Disclosure
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.templates import claimed
 from authguard_r.wire.messages import ClientRole, Mode
 
 app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
@@ -151,7 +151,7 @@ def sign(
     where = str(file)
     form = convert(read_yaml(read_text(file), where=where), Form, where=where)
     config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
-    _require_authority(signer, trust)
+    require_role(signer, CONFIG_ROLES, trust)
     target = out or file.with_suffix(".token")
     return sign_shown(
         config,
@@ -186,14 +186,7 @@ def claimed_config(token: Path) -> GateConfig:
     Raises:
         MalformedError: no canonical token of a gate's configuration.
     """
-    read = read_token(read_file(token))
-    if read.kind is not Tag.GATE:
-        raise MalformedError(
-            f"expected a token of kind `{Tag.GATE}`, got `{read.kind}`",
-            where="token.kind",
-            reason=Reason.WRONG_KIND,
-        )
-    return decode(unb64(read.payload, where="token.payload"), GateConfig, where="gate")
+    return claimed(read_file(token), GateConfig, tag=Tag.GATE)
 
 
 def open_config(token: Path, trust: Path, *, now: str | None = None) -> GateConfig:
@@ -349,18 +342,3 @@ def _demo_signer(trust: Path | None) -> FileSigner:
             where=str(trust),
         )
     return folder_signer(trust, _SIGNER)
-
-
-def _require_authority(signer: FileSigner, trust: Path | None) -> None:
-    """Refuse a key that every gate would refuse."""
-    leaf: Leaf | LeafClaims = (
-        read_claims(signer.chain[0])
-        if trust is None
-        else read_trust(trust).identify(signer.chain, wall_now(None))
-    )
-    if leaf.role not in CONFIG_ROLES:
-        raise RefusedError(
-            f"expected a key of a `site_authority`, got a `{leaf.role}`'s",
-            reason=Reason.ROLE_DENIED,
-            where="--cert",
-        )

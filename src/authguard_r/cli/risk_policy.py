@@ -22,24 +22,21 @@ from authguard_r.approvals.organization import (
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.compile import spoken
 from authguard_r.compile.draft import DraftRisk
 from authguard_r.compile.grants import Words
 from authguard_r.compile.names import names_of
 from authguard_r.compile.questions import Questions
 from authguard_r.compile.totals import build_risk
-from authguard_r.core.encoding import Tag, decode, unb64
-from authguard_r.core.errors import MalformedError, RefusedError
+from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Identifier, Positive
 from authguard_r.core.quantities import to_timestamp
-from authguard_r.core.reasons import Reason
-from authguard_r.core.token import read_token
-from authguard_r.keys.certificate import read_claims
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.templates import claimed
 
 app = typer.Typer(
     help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True
@@ -98,17 +95,7 @@ def sign(
 ) -> int:
     """Show what is demanded, ask, and sign."""
     policy, signer = _read(file, load_site(site)), open_signer(key, cert, passphrase_file)
-    role = (
-        read_claims(signer.chain[0]).role
-        if trust is None
-        else read_trust(trust).identify(signer.chain, wall_now(None)).role
-    )
-    if role not in POLICY_ROLES:
-        raise RefusedError(
-            f"expected a key in a role of {', '.join(sorted(POLICY_ROLES))}, got a `{role}`'s",
-            reason=Reason.ROLE_DENIED,
-            where="--cert",
-        )
+    require_role(signer, POLICY_ROLES, trust)
     target = out or file.with_suffix(".token")
     return sign_shown(
         policy,
@@ -132,7 +119,8 @@ def show(
     """Show what is demanded; with --trust, once the signature holds."""
     data = read_file(token)
     if trust is None:
-        policy, note = _claimed(data), ["not verified: name the trust folder with --trust"]
+        policy = claimed(data, OrganizationPolicy, tag=Tag.RISK_POLICY)
+        note = ["not verified: name the trust folder with --trust"]
         more: dict[str, Any] = {"valid": None}
     else:
         opened = open_policy(data, verifier=read_trust(trust), now=wall_now(now))
@@ -186,18 +174,6 @@ def _read(file: Path, site: Site) -> OrganizationPolicy:
         "policy": plain,
     }
     return require_sound_policy(convert(made, OrganizationPolicy, where=where))
-
-
-def _claimed(data: bytes) -> OrganizationPolicy:
-    read = read_token(data)
-    if read.kind is not Tag.RISK_POLICY:
-        raise MalformedError(
-            f"expected a token of kind `{Tag.RISK_POLICY}`, got `{read.kind}`",
-            where="token.kind",
-            reason=Reason.WRONG_KIND,
-        )
-    payload = unb64(read.payload, where="token.payload")
-    return decode(payload, OrganizationPolicy, where="risk-policy")
 
 
 def _payload(policy: OrganizationPolicy, file: Path) -> dict[str, Any]:

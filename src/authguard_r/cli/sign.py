@@ -20,7 +20,7 @@ from authguard_r.cli.mission_files import (
     warn,
 )
 from authguard_r.cli.out import emit
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.compile.card import card_digest, review
 from authguard_r.compile.confirmation import How, confirm, confirmation_bytes
 from authguard_r.compile.lint import Code, LintFinding, errors, finding_lines, lint, lint_alone
@@ -32,10 +32,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
-from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
-from authguard_r.keys.trust import read_trust
 
 _NO_SITE = "name the site with --site: nobody signs what was not shown"
 
@@ -178,20 +176,10 @@ def require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) ->
     """
     if folder is None:
         warn("whose key it is was not checked; name the trust folder with --trust")
-    leaf: Leaf | LeafClaims = (
-        read_claims(signer.chain[0])
-        if folder is None
-        else read_trust(folder).identify(signer.chain, wall_now(None))
-    )
-    if leaf.role not in ISSUER_ROLES:
+    principal = require_role(signer, ISSUER_ROLES, folder)
+    if principal != mission.issuer:
         raise RefusedError(
-            f"expected a signer in a role of {', '.join(sorted(ISSUER_ROLES))}, got `{leaf.role}`",
-            reason=Reason.ROLE_DENIED,
-            where="--cert",
-        )
-    if leaf.principal != mission.issuer:
-        raise RefusedError(
-            f"expected the key of `{mission.issuer}`, got `{leaf.principal}`'s",
+            f"expected the key of `{mission.issuer}`, got `{principal}`'s",
             reason=Reason.ISSUER_MISMATCH,
             where="mission.issuer",
         )

@@ -12,8 +12,11 @@ from typing import Annotated
 
 import typer
 
-from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.cli.inputs import wall_now
+from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
+from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.envelope import MAX_PASSPHRASE
 from authguard_r.keys.pkcs11 import is_key_uri, open_key
 from authguard_r.keys.signer import (
@@ -23,7 +26,7 @@ from authguard_r.keys.signer import (
     certified,
     open_key_file,
 )
-from authguard_r.keys.trust import read_file
+from authguard_r.keys.trust import read_file, read_trust
 
 PassphraseFile = Annotated[
     Path | None,
@@ -51,6 +54,33 @@ def open_signer(key: Path, cert: Path, passphrase_file: Path | None = None) -> F
         AuthenticityError: the key does not open or is not its certificate's.
     """
     return certified(open_keys(key, passphrase_file), cert)
+
+
+def require_role(signer: FileSigner, roles: frozenset[str], trust: Path | None) -> PrincipalId:
+    """Return whose key it is; refuse one that every gate would refuse for its role.
+
+    Args:
+        signer: the key.
+        roles: that sign such a thing.
+        trust: the trust folder; None: nobody knows whose key it is, and it is held to what its
+            certificate claims.
+
+    Raises:
+        AuthenticityError: the certificate does not hold under the trust root, or claims nothing.
+        RefusedError: it is of another role.
+    """
+    leaf: Leaf | LeafClaims = (
+        read_claims(signer.chain[0])
+        if trust is None
+        else read_trust(trust).identify(signer.chain, wall_now(None))
+    )
+    if leaf.role not in roles:
+        raise RefusedError(
+            f"expected a signer in a role of {', '.join(sorted(roles))}, got `{leaf.role}`",
+            reason=Reason.ROLE_DENIED,
+            where="--cert",
+        )
+    return leaf.principal
 
 
 def open_keys(key: Path, passphrase_file: Path | None = None) -> tuple[SigningKey, ...]:
