@@ -73,7 +73,7 @@ class CountedGate(RunningGate):
                 step: dict[str, Any] = planner.propose(SCAN)["steps"][0]
             # the robot begins nothing before the gate has heard which start of it this is
             early = step["released"] and step["execution"]["outcome"] == "not_started"
-            return None if early or step["reasons"] == ["STATE_MISSING"] else step
+            return None if early or step.get("retryable") else step
 
         step = until(begun, "a released action that is begun")
         assert step["execution"]["outcome"] == "succeeded", step

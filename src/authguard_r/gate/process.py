@@ -43,7 +43,7 @@ from authguard_r.gate.lock import ANSWER_S, Lock, hold_robot, root_fingerprint
 from authguard_r.gate.reader import Reader
 from authguard_r.gate.recovery import Recovery
 from authguard_r.gate.roads import open_road
-from authguard_r.gate.service import Service
+from authguard_r.gate.service import LOOK_S, Service
 from authguard_r.gate.streams import Streams
 from authguard_r.gate.vigil import notary_policy
 from authguard_r.keys.signer import FileSigner
@@ -51,6 +51,7 @@ from authguard_r.keys.trust import Trust
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
+from authguard_r.running import WATCH_MS
 from authguard_r.safety import EnvelopeGate, SafetyConfig, safety_digest
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.site.model import Site, stopping_mm
@@ -66,6 +67,8 @@ DELAY_MS = 100
 PRIORITY = -5
 #: Connections that the kernel keeps until they are taken.
 _BACKLOG = 1_024
+#: The most that one look takes a simulation nearer to the machine's clock, in milliseconds.
+CATCH_UP_MS = 10_000
 #: Connections taken at a time: those refused let go of their files before many more are taken.
 _AT_ONCE = 16
 
@@ -270,13 +273,22 @@ def _streams(parts: Parts, gate: Gate, remote: RemoteController | None) -> Strea
     return streams
 
 
-def _advance(parts: Parts) -> Callable[[int], None] | None:
+def _advance(parts: Parts) -> Callable[[bool], None] | None:
     robot = parts.simulated
-    return None if robot is None else partial(_pass_time, robot)
+    if robot is None:
+        return None
+    _pass_time(robot, moving=False)  # what the start has taken
+    return partial(_pass_time, robot)
 
 
-def _pass_time(robot: SymbolicRobot, for_ms: int) -> None:
-    robot.pause(for_ms)
+def _pass_time(robot: SymbolicRobot, moving: bool) -> None:  # noqa: FBT001 - one of two paces
+    """Let simulated time pass: as far as a look at what moves, else to where all clocks are.
+
+    A mission that begins now by its author's clock is not to wait for a simulation that lost time.
+    """
+    behind_ms = min(SystemClock().wall_ms() - robot.wall_ms(), CATCH_UP_MS)
+    standing_ms = behind_ms if behind_ms > 0 else round(LOOK_S * 1_000)
+    robot.pause(WATCH_MS if moving else standing_ms)
     del robot.trace[:-1]  # a process lives long
 
 

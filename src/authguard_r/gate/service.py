@@ -42,7 +42,7 @@ from authguard_r.gate.view import View
 from authguard_r.gate.vigil import Vigil
 from authguard_r.normalize import Binder
 from authguard_r.report import Report, refusal_entry
-from authguard_r.running import WATCH_MS, quietly
+from authguard_r.running import quietly
 from authguard_r.shapes import report_json
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Hello, Kind, Mode, Proof, Welcome
@@ -73,7 +73,7 @@ class Service:
         streams: what may be sampled while it runs; None where there is no controller.
         recovery: settles what the last run left open.
         journal: for whoever runs the machine.
-        advance: lets so many milliseconds of simulated time pass; None where time is real.
+        advance: lets simulated time pass, told whether something moves; None where time is real.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Service:
         streams: Streams | None,
         recovery: Recovery,
         journal: Journal,
-        advance: Callable[[int], None] | None = None,
+        advance: Callable[[bool], None] | None = None,
     ) -> None:
         self.gate = gate
         self._config = config
@@ -346,7 +346,7 @@ class Service:
 
     def _look(self) -> None:
         if self._advance is not None:
-            self._advance(WATCH_MS if self.motions else round(LOOK_S * 1_000))
+            self._advance(bool(self.motions))
         self.motions.look()
         if self._advance is not None and self.motions:
             self._turn_soon()  # simulated time passes as fast as it can be watched
