@@ -536,7 +536,7 @@ def test_a_tampered_log_is_1_and_an_unreadable_one_4(shell: Shell, token: str) -
 
     shell("run", "--token", token, *RUN, "--plan", "h/replies/01-collect.json")
     connection = apsw.Connection("r.db")
-    connection.execute("DROP TRIGGER audit_no_update")
+    connection.execute("DROP TRIGGER audit_only_forgets")
     connection.execute(
         "UPDATE audit SET record = CAST(replace(CAST(record AS TEXT), 'accept', 'reject') AS BLOB)"
         " WHERE seq = 2"

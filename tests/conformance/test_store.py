@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.audit.record import Entry, append
+from authguard_r.audit.record import Entry, append, read_sealed
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import RefusedError, StoreError
@@ -501,6 +501,8 @@ def test_a_store_keeps_its_index_to_itself_from_the_first_page_it_reads(path: Pa
     [
         "UPDATE audit SET record = x'00'",
         "UPDATE audit SET seq = seq + 10 WHERE seq = 1",
+        "UPDATE audit SET link = x'00'",
+        "UPDATE audit SET sealed = CAST('{\"note\":{}}' AS BLOB)",
         "UPDATE OR REPLACE audit SET seq = 0 WHERE seq = 1",
         "DELETE FROM audit",
         "DELETE FROM audit WHERE seq = 1",
@@ -520,6 +522,85 @@ def test_the_log_is_append_only_even_to_one_who_has_the_file(path: Path, stateme
         connection.execute(statement)
     connection.close()
     assert tuple(read_rows(path)) == before
+
+
+SECRETS = {"here": "a secret " + "that is told " * 4_000, "there": "what stays"}
+
+
+def secret(turn: Turn) -> int:
+    sealed = Entry(kind="stop", time_ms=1, decision="stop", open={}, sealed=SECRETS)
+    return append(turn, sealed, salts=bytes(32))
+
+
+def beside(store: MemoryStore | SqliteStore, seq: int) -> dict[str, Any]:
+    rows = store.read(lambda turn: turn.rows(seq, 1))
+    return {name: one.value for name, one in read_sealed(rows[0][2], where="").items()}
+
+
+def test_values_go_and_the_chain_stays(opened: Opened) -> None:
+    opened.store.run(secret)
+    opened.store.run(record)
+
+    def forgets(turn: Turn) -> tuple[bytes, ...]:
+        turn.forget(0, {"here", "nowhere"})
+        turn.forget(9, {"here"})  # there is no such record
+        return turn.rows(0, 1)[0]
+
+    assert b"secret" not in opened.store.run(forgets)[2]
+    assert beside(opened.store, 0) == {"there": "what stays"}
+    rows = opened.store.read(lambda turn: turn.rows(0, 2))
+    found = verify_rows([Row(*row) for row in rows], terminal=None)
+    assert (found.whole, found.size) == (True, 2)
+
+
+def test_a_job_that_fails_lets_nothing_go(opened: Opened) -> None:
+    opened.store.run(secret)
+
+    def fails(turn: Turn) -> None:
+        turn.forget(0, {"here"})
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        opened.store.run(fails)
+    opened.store.read(lambda turn: turn.forget(0, {"here"}))
+    assert beside(opened.store, 0) == SECRETS
+
+
+def test_what_was_let_go_is_in_no_file_of_the_store(durable: SqliteStore, path: Path) -> None:
+    def files() -> bytes:
+        return b"".join(file.read_bytes() for file in path.parent.iterdir())
+
+    durable.run(secret)
+    assert b"a secret" in files()
+    durable.run(lambda turn: turn.forget(0, {"here"}))
+    assert b"told" not in files()
+    assert b"what stays" in files()
+    durable.run(record)
+    assert count_of(path) == 2
+
+
+def count_of(path: Path) -> int:
+    """Return the records of a file that another connection of this process may hold."""
+    copy = path.with_name("copy.db")
+    for end in ("", "-wal"):
+        copy.with_name(f"copy.db{end}").write_bytes(path.with_name(f"store.db{end}").read_bytes())
+    return len(tuple(read_rows(copy)))
+
+
+def test_a_store_of_before_is_given_the_rule_that_lets_values_go(path: Path) -> None:
+    store = open_store(path)
+    store.run(secret)
+    store.close()
+    connection = apsw.Connection(str(path))
+    connection.execute(
+        "DROP TRIGGER audit_only_forgets; CREATE TRIGGER audit_no_update BEFORE UPDATE ON audit "
+        "BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END"
+    )
+    connection.close()
+    store = open_store(path)
+    store.run(lambda turn: turn.forget(0, {"here"}))
+    assert beside(store, 0) == {"there": "what stays"}
+    store.close()
 
 
 class Pass(apsw.VFSFile):

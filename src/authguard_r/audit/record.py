@@ -8,6 +8,7 @@ decision needs is one of those values. Source: `eq:log`. Spec page: docs/spec/au
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 from msgspec import Struct
@@ -135,6 +136,18 @@ def read_sealed(data: bytes, *, where: str) -> dict[str, Sealed]:
         MalformedError: they are none.
     """
     return decode(data, dict[str, Sealed], where=where)
+
+
+def without(sealed: bytes, names: Container[str], *, where: str) -> bytes:
+    """Return what lies beside a record once the values of these names are gone.
+
+    Raises:
+        MalformedError: the bytes are no sealed values.
+    """
+    left = {
+        name: one for name, one in read_sealed(sealed, where=where).items() if name not in names
+    }
+    return encode_fast(left)
 
 
 class Terminal(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

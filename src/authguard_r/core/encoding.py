@@ -108,11 +108,8 @@ def decode(data: bytes, kind: type[T], *, where: str = "") -> T:
         message, place = _place(str(error), where)
         raise MalformedError(message, where=place) from error
     if _FAST.encode(value) != data:
-        raise MalformedError(
-            "the bytes are not the canonical encoding of what they say",
-            where=where,
-            reason=Reason.NOT_CANONICAL,
-        )
+        message = "the bytes are not the canonical encoding of what they say"
+        raise MalformedError(message, where=where, reason=Reason.NOT_CANONICAL)
     return value
 
 

@@ -6,7 +6,7 @@ Protocols only; wiring is in `assembly` alone. Spec page: docs/explanation/archi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
@@ -88,6 +88,9 @@ class Turn(Protocol):
     def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
         """Return at most `count` rows of the log from `first` on: seq, record, sealed, link."""
         ...
+
+    def forget(self, seq: int, names: Container[str]) -> None:
+        """Let the values of these names beside a record go; its commitments to them stay."""
 
 
 class Store(Protocol):

@@ -7,9 +7,12 @@ It passes the conformance suite of `core.ports.Store` save for what a crash must
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import TypeVar
 
+from msgspec import structs
+
+from authguard_r.audit.record import without
 from authguard_r.audit.verify import Row
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import StoreError
@@ -28,6 +31,7 @@ class _MemoryTurn:
         self._link = rows[-1].link if rows else GENESIS
         self.puts: dict[tuple[str, str], bytes] = {}
         self.appends: list[Row] = []
+        self.forgets: dict[int, bytes] = {}
 
     def get(self, kind: str, key: str) -> bytes | None:
         """Return the value held under the key."""
@@ -51,7 +55,13 @@ class _MemoryTurn:
     def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
         """Return rows of the log, with those of this turn."""
         every = [*self._rows, *self.appends][max(first, 0) : max(first + count, 0)]
-        return tuple((row.seq, row.record, row.sealed, row.link) for row in every)
+        left = self.forgets
+        return tuple((r.seq, r.record, left.get(r.seq, r.sealed), r.link) for r in every)
+
+    def forget(self, seq: int, names: Container[str]) -> None:
+        """Let values beside a record go when the turn commits."""
+        for row in self.rows(seq, 1):
+            self.forgets[seq] = without(row[2], names, where=f"record {seq}")
 
 
 class MemoryStore:
@@ -76,6 +86,8 @@ class MemoryStore:
             result = job(turn)
             self._held.update(turn.puts)
             self._rows += turn.appends
+            for seq, sealed in turn.forgets.items():
+                self._rows[seq] = structs.replace(self._rows[seq], sealed=sealed)
             return result
 
     def read(self, job: Callable[[Turn], T]) -> T:

@@ -45,9 +45,17 @@ CREATE TABLE audit (
 CREATE TRIGGER audit_no_gap BEFORE INSERT ON audit
 WHEN NEW.seq IS NOT (SELECT coalesce(max(seq) + 1, 0) FROM audit)
 BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
-CREATE TRIGGER audit_no_update BEFORE UPDATE ON audit
-BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
 CREATE TRIGGER audit_no_delete BEFORE DELETE ON audit
+BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
+"""
+#: Sealed values may go, each as a whole; nothing else ever changes.
+_ONLY_FORGETS = """
+DROP TRIGGER IF EXISTS audit_no_update;
+CREATE TRIGGER IF NOT EXISTS audit_only_forgets BEFORE UPDATE ON audit
+WHEN NEW.seq IS NOT OLD.seq OR NEW.record IS NOT OLD.record OR NEW.link IS NOT OLD.link OR EXISTS (
+  SELECT key, value FROM json_each(CAST(NEW.sealed AS TEXT))
+  EXCEPT SELECT key, value FROM json_each(CAST(OLD.sealed AS TEXT))
+)
 BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
 """
 
@@ -182,6 +190,12 @@ class SqliteStore:
         except BaseException:
             self._roll_back(before)
             raise
+        if self._turn.has_traces:
+            self._erase()
+
+    def _erase(self) -> None:
+        """Leave nothing in the write-ahead log of what was let go of; else with the next commit."""
+        self._turn.has_traces = not _erase(self._connection)
 
     def _run_one(self, ticket: _Ticket[object]) -> None:
         """Run one job; its own mistake undoes it alone, the store's fault undoes the batch."""
@@ -213,7 +227,7 @@ class SqliteStore:
 
     def _roll_back(self, before: tuple[int, bytes]) -> None:
         self._turn.drop(before)
-        self._turn.forget()
+        self._turn.reread()
         try:
             if self._connection.in_transaction:
                 self._connection.execute("ROLLBACK")
@@ -318,13 +332,23 @@ def _prepare(connection: apsw.Connection, path: Path) -> None:
         _require_format(connection, path)
     connection.execute("PRAGMA journal_mode = WAL").fetchall()
     connection.execute("PRAGMA synchronous = FULL")
+    _erase(connection)  # after a crash, of what may have been let go of before it
     # taking the exclusive lock now, not at the first decision
     connection.execute("BEGIN IMMEDIATE")
     if _is_empty(connection):  # again: now nobody else can make it
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {FORMAT}")
         connection.execute(_SCHEMA)
+    connection.execute(_ONLY_FORGETS)  # a store of before has a stricter rule
     connection.execute("COMMIT")
+
+
+def _erase(connection: apsw.Connection) -> bool:
+    """Empty the write-ahead log; False when that cannot be done now. Commits stand either way."""
+    with suppress(apsw.Error):
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        return True
+    return False
 
 
 def _is_empty(connection: apsw.Connection) -> bool:

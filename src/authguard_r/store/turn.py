@@ -6,9 +6,12 @@ Spec page: docs/spec/store.md
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 import apsw
+
+from authguard_r.audit.record import without
 
 #: Held values that are remembered beside the file.
 _MOST_KNOWN = 64
@@ -28,12 +31,15 @@ class SqliteTurn:
         self.link = link
         self._puts: dict[tuple[str, str], bytes] = {}
         self._rows: list[tuple[int, bytes, bytes, bytes]] = []
+        self._forgets: dict[int, bytes] = {}
+        #: True while the write-ahead log may have what was let go of.
+        self.has_traces = False
         self._known: dict[tuple[str, str], bytes | None] = {}
 
     @property
     def changes(self) -> bool:
-        """True when the job put or appended something."""
-        return bool(self._puts or self._rows)
+        """True when the job put, appended or let go of something."""
+        return bool(self._puts or self._rows or self._forgets)
 
     def write(self) -> None:
         """Write what the job put and appended; on disk when the batch commits.
@@ -46,6 +52,8 @@ class SqliteTurn:
         if not self._connection.in_transaction:
             self._connection.execute("BEGIN IMMEDIATE")
         self._many("INSERT INTO audit VALUES (?, ?, ?, ?)", self._rows)
+        if self._forgets:
+            self._let_go()
         self._many(
             "INSERT INTO held VALUES (?, ?, ?) "
             "ON CONFLICT (kind, key) DO UPDATE SET value = excluded.value",
@@ -53,14 +61,23 @@ class SqliteTurn:
         )
         for place, value in self._puts.items():
             self._know(place, value)
-        self._puts, self._rows = {}, []
+        self._puts, self._rows, self._forgets = {}, [], {}
+
+    def _let_go(self) -> None:
+        """Write what stays of sealed values, with zeros over what was in its place."""
+        self._connection.execute("PRAGMA secure_delete = ON")
+        self.has_traces = True
+        self._many(
+            "UPDATE audit SET sealed = ? WHERE seq = ?",
+            [(sealed, seq) for seq, sealed in self._forgets.items()],
+        )
 
     def drop(self, head: tuple[int, bytes]) -> None:
         """Forget what the job put and appended; none of it was written."""
         self.size, self.link = head
-        self._puts, self._rows = {}, []
+        self._puts, self._rows, self._forgets = {}, [], {}
 
-    def forget(self) -> None:
+    def reread(self) -> None:
         """Read everything again: what was written may have been undone."""
         self._known.clear()
 
@@ -102,7 +119,14 @@ class SqliteTurn:
         end = min(max(first + count, 0), self.size)
         first = min(max(first, 0), end)
         written = _cells(self._connection, first, end)
-        return (*written, *(row for row in self._rows if first <= row[0] < end))
+        every = (*written, *(row for row in self._rows if first <= row[0] < end))
+        left = self._forgets
+        return tuple((r[0], r[1], left[r[0]], r[3]) if r[0] in left else r for r in every)
+
+    def forget(self, seq: int, names: Container[str]) -> None:
+        """Let values beside a record go: in this file, with the commit, and nowhere else."""
+        for row in self.rows(seq, 1):
+            self._forgets[seq] = without(row[2], names, where=f"store.audit.{seq}")
 
 
 def first_row(connection: apsw.Connection, query: str, values: tuple[str, ...]) -> Any:
