@@ -53,6 +53,7 @@ from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import STAND_WITHIN_MS, Watch
 from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, safety_digest
+from authguard_r.sealing import Reader, Sealer
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
@@ -115,6 +116,7 @@ def assemble(
     counter: Counter | None = None,
     signer: Signer | None = None,
     notary: NotaryPolicy = NotaryPolicy(),  # noqa: B008 - frozen
+    readers: tuple[Reader, ...] = (),
 ) -> Gate:
     """Return the gate made of these parts.
 
@@ -137,6 +139,7 @@ def assemble(
         counter: kept outside of the store; without one, a store that was put back is not known.
         signer: the gate's own key, for counter and checkpoints; without one there are none.
         notary: when checkpoints are made, and who witnesses them.
+        readers: who may read sealed fields of the log; what nobody may, is not sealed.
 
     Raises:
         AuthenticityError: the gate's certificate does not hold.
@@ -160,6 +163,7 @@ def assemble(
             refusals=refusals,
             marks=marks,
             since_ms=since_ms,
+            sealer=None if not readers else Sealer(rid, readers),
         )
         _require_same_log(ledger, trust, marks or {})
         keeps = Notary(ledger, robot=rid, signer=signer, policy=notary)
@@ -226,12 +230,8 @@ def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[byt
 
 def _first(facts: SiteFacts, trust: Trust) -> dict[str, object]:
     """Return what the log's first record says of the gate that began it."""
-    return {
-        "site": facts.digest,
-        "profile": facts.robot.profile,
-        "demo": trust.demo,
-        "root": root_digest(trust),
-    }
+    place = {"site": facts.digest, "profile": facts.robot.profile}
+    return {**place, "demo": trust.demo, "root": root_digest(trust)}
 
 
 def root_digest(trust: Trust) -> str:

@@ -252,7 +252,7 @@ class Enforcer:
             standing=standing,
             state=state,
             now=now,
-            ticket=digest_of(Tag.ACTION, (digested, act.head()[0])),
+            ticket=digest_of(Tag.ACTION, (digested, act.head()[0], act.salt())),
             request=open_question(decision, verified, standing, now, risk=self._facts.risk),
             approvals=answered.tokens,
             answers=answered.approvals,

@@ -17,7 +17,8 @@ from typing import TypeVar
 from msgspec import Struct
 
 from authguard_r.audit.record import Entry, append
-from authguard_r.core.encoding import decode, encode_fast
+from authguard_r.audit.verify import Row
+from authguard_r.core.encoding import b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, MalformedError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId, RobotId
 from authguard_r.core.lifecycle import TERMINAL
@@ -25,7 +26,7 @@ from authguard_r.core.ports import Clock, Store, Turn
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.refusals import Fold, Page, RefusalPolicy, Refusals
+from authguard_r.refusals import Fold, LogSealer, Page, RefusalPolicy, Refusals
 
 T = TypeVar("T")
 #: Kind, key and value of something that the store holds.
@@ -70,6 +71,7 @@ class Ledger:
         refusals: what waits and what is counted; the default records each refusal at once.
         marks: what every record says in its open part: that it is of a shadow run.
         since_ms: time is not before this, whatever wall clock and store say.
+        sealer: seals fields of the log; None: all of it lies open to whoever has it.
     """
 
     def __init__(
@@ -84,8 +86,10 @@ class Ledger:
         refusals: RefusalPolicy = RefusalPolicy(),  # noqa: B008 - frozen
         marks: dict[str, str] | None = None,
         since_ms: int = 0,
+        sealer: LogSealer | None = None,
     ) -> None:
         self.store = store
+        self.sealer = sealer
         self._clock = clock
         self._salts = salts
         self.robot = robot
@@ -159,7 +163,7 @@ class Ledger:
             for page in tries:  # the disk was full: what is left is not for refusals
                 page.undo()
                 self._refusals.out_of_room()
-            tries.append(Page(turn, self._refusals, self._salts, self._open_marks))
+            tries.append(Page(turn, self._refusals, self._salts, self._open_marks, self.sealer))
             return job(tries[-1])
 
         try:
@@ -184,6 +188,21 @@ class Ledger:
             StoreError: the store cannot be read.
         """
         return self.store.read(job)
+
+    def opened(self, row: tuple[int, bytes, bytes, bytes]) -> Row:
+        """Return a row of the log as it would be had nothing of it been sealed.
+
+        What was sealed before this start stays closed: its keys are only its readers'.
+
+        Raises:
+            StoreError: it is not what was sealed.
+        """
+        try:
+            return Row(*row) if self.sealer is None else self.sealer.opened(Row(*row))
+        except MalformedError as error:
+            raise StoreError(
+                error.message, where=error.where, reason=Reason.STORE_CORRUPT
+            ) from error
 
     def latest(self) -> Now:
         """Return trusted time; while the clock is behind, what it would be had it gone on.
@@ -422,6 +441,10 @@ class Act:
     def rows(self, first: int, count: int) -> tuple[tuple[int, bytes, bytes, bytes], ...]:
         """Return at most `count` rows of the log from `first` on: seq, record, sealed, link."""
         return self._turn.rows(first, count)
+
+    def salt(self) -> str:
+        """Return fresh randomness: nobody guesses what was hashed together with it."""
+        return b64(self._page.salts(16))
 
     def record(self, entry: Entry) -> int:
         """Append one record to the log, behind the refusals that waited."""

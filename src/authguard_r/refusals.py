@@ -13,10 +13,12 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from hashlib import sha256
+from typing import Protocol
 
 from msgspec import Struct, structs
 
 from authguard_r.audit.record import Entry, append
+from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.ports import Turn
 
@@ -36,6 +38,21 @@ _LOOK_MS = 1_000
 #: Client, reason code and place: what makes two refusals the same.
 Fold = tuple[str, str, str]
 _ANYTHING = "*"
+
+
+class LogSealer(Protocol):
+    """Seals what is written into a log, and opens what it sealed itself."""
+
+    def append(self, turn: Turn, entry: Entry, *, salts: Callable[[int], bytes]) -> int:
+        """Append the entry to the log in this turn, sealed; return its number."""
+        ...
+
+    def opened(self, row: Row) -> Row:
+        """Return a row as it would be had nothing been sealed, as far as that can be said."""
+        ...
+
+    def forget(self, mid: str) -> None:
+        """Forget a mission's keys: what comes next has others."""
 
 
 class RefusalPolicy(Struct, frozen=True, kw_only=True):
@@ -268,6 +285,7 @@ class Page:
         refusals: what waits.
         salts: returns that many fresh random bytes.
         marks: what every record says in its open part.
+        sealer: seals fields of what is written; None: nobody does.
     """
 
     def __init__(
@@ -276,11 +294,13 @@ class Page:
         refusals: Refusals,
         salts: Callable[[int], bytes],
         marks: dict[str, str],
+        sealer: LogSealer | None,
     ) -> None:
         self.turn = turn
+        self._sealer = sealer
         self._marks = marks
         self._refusals = refusals
-        self._salts = salts
+        self.salts = salts
         self._taken: list[Waiting] = []
 
     def record(self, entry: Entry) -> int:
@@ -303,7 +323,9 @@ class Page:
     def _append(self, entry: Entry) -> int:
         if self._marks:
             entry = structs.replace(entry, open={**entry.open, **self._marks})
-        return append(self.turn, entry, salts=self._salts(16 * len(entry.sealed)))
+        if self._sealer is not None:
+            return self._sealer.append(self.turn, entry, salts=self.salts)
+        return append(self.turn, entry, salts=self.salts(16 * len(entry.sealed)))
 
 
 def _user(fold: Fold) -> str:

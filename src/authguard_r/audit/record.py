@@ -86,15 +86,50 @@ def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:
         entry: what to record; the names of what it seals are identifiers.
         salts: 16 fresh random bytes for each sealed value.
     """
-    seq, prev = turn.head()
-    committed: dict[str, Digest] = {}
-    beside: list[bytes] = []
+    beside = Beside()
     for place, name in enumerate(sorted(entry.sealed)):
-        # `Sealed` and `Commitment` end alike: spelled once, around a value that is encoded once
-        salt = b64(salts[16 * place : 16 * place + 16])
-        item = f'"salt":"{salt}","value":'.encode() + encode_fast(entry.sealed[name]) + b"}"
-        committed[name] = digest(Tag.COMMITMENT, f'{{"name":"{name}",'.encode() + item)
-        beside.append(f'"{name}":{{'.encode() + item)
+        beside.add(name, spelled(entry.sealed[name], salts[16 * place : 16 * place + 16]))
+    return write(turn, entry, beside)
+
+
+class Beside:
+    """What is put beside one record, and what the record says of it.
+
+    A name is added once; what is only committed to lies somewhere else, or nowhere.
+    """
+
+    def __init__(self) -> None:
+        self.committed: dict[str, Digest] = {}
+        self._items: dict[str, bytes] = {}
+
+    def commit(self, name: str, item: bytes) -> None:
+        """Commit to a value (`spelled`) that does not lie beside the record by itself."""
+        head = b'{"name":%b,' % encode_fast(name)
+        self.committed[name] = digest(Tag.COMMITMENT, head + item)
+
+    def add(self, name: str, item: bytes) -> None:
+        """Commit to a value, and put it there."""
+        self.commit(name, item)
+        self._items[name] = item
+
+    def encode(self) -> bytes:
+        """Return everything that was put there, as it is stored."""
+        return joined(self._items)
+
+
+def spelled(value: Any, salt: bytes) -> bytes:
+    """Return a value with its salt as both a `Sealed` and a `Commitment` end: spelled once."""
+    return b'"salt":"%b","value":%b}' % (b64(salt).encode(), encode_fast(value))
+
+
+def joined(items: dict[str, bytes]) -> bytes:
+    """Return spelled values (`spelled`) by their names, in canonical form."""
+    return b"{" + b",".join(b"%b:{%b" % (encode_fast(n), items[n]) for n in sorted(items)) + b"}"
+
+
+def write(turn: Turn, entry: Entry, beside: Beside) -> int:
+    """Append the record of an entry whose sealed values were spelled; return its number."""
+    seq, prev = turn.head()
     linked = Link(
         prev=Digest(b64(prev)),
         mid=entry.mid,
@@ -103,10 +138,10 @@ def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:
         state=entry.state,
         time_ms=entry.time_ms,
         decision=entry.decision,
-        evidence=evidence(entry.kind, entry.open, committed),
+        evidence=evidence(entry.kind, entry.open, beside.committed),
     )
-    record = Record(link=linked, kind=entry.kind, open=entry.open, committed=committed)
-    return turn.append(encode_fast(record), b"{" + b",".join(beside) + b"}", link(linked))
+    record = Record(link=linked, kind=entry.kind, open=entry.open, committed=beside.committed)
+    return turn.append(encode_fast(record), beside.encode(), link(linked))
 
 
 def evidence(kind: str, open_fields: dict[str, Any], committed: dict[str, Digest]) -> Digest:

@@ -13,6 +13,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from authguard_r.anchoring.places import WitnessPlace, require_place
+from authguard_r.audit.boxes import DataClass
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Count, Positive, RobotId
@@ -20,6 +21,7 @@ from authguard_r.core.ports import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
+from authguard_r.sealing import Reader, Retention, require_readers, require_retention
 from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
@@ -62,6 +64,8 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         witnesses: who cosign the checkpoints, each once.
         quorum: so many of them make one `witnessed`; 0 where there are none.
         witness_ms: nothing was witnessed for so long, though there is something: an alert; 0: none.
+        readers: who may read which sealed fields of the log; what nobody may, lies open.
+        retention: how long sealed fields are kept, for each class at most one rule, sorted.
     """
 
     robot: RobotId
@@ -81,6 +85,8 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     witnesses: Annotated[tuple[WitnessPlace, ...], Meta(max_length=16)] = ()
     quorum: Count = 0
     witness_ms: Count = 600_000
+    readers: Annotated[tuple[Reader, ...], Meta(max_length=32)] = ()
+    retention: Annotated[tuple[Retention, ...], Meta(max_length=len(DataClass))] = ()
 
 
 def default_config(robot: RobotId, peers: tuple[Peer, ...], mode: Mode) -> GateConfig:
@@ -126,6 +132,8 @@ def open_gate_config(data: bytes, *, verifier: Verifier, now: Now, robot: RobotI
                 reason=Reason.SCHEMA_INVALID,
             )
     require_witnesses(config)
+    require_readers(config.readers, where="gate.readers")
+    require_retention(config.retention, config.readers, where="gate.retention")
     if config.robot != robot:
         raise MalformedError(
             f"expected the configuration of `{robot}`, got `{config.robot}`'s",

@@ -245,6 +245,7 @@ def _assemble(parts: Parts, mounted: _Mounted) -> Gate:
         counter=parts.counter,
         signer=parts.signer,
         notary=notary_policy(parts.config),
+        readers=parts.config.readers,
     )
 
 

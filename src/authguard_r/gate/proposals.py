@@ -109,12 +109,33 @@ class Proposals:
             StoreError: the store cannot be read, or does not hold what it says.
         """
         place = _place(client, key)
-        known = self._known.get(place) or self._ledger.peek(
-            lambda turn: _told(turn, place, self._disclosure)
-        )
+        known = self._known.get(place) or self._ledger.peek(lambda turn: self._told(turn, place))
         if known is not None:
             require_same_plan(known.evidence, evidence)
         return known
+
+    def _told(self, turn: Turn, place: str) -> Answered | None:
+        """Return what is held under a key, told again from the log."""
+        held = turn.get(_KIND, place)
+        if held is None:
+            return None
+        kept = read_held(held, Kept, _KIND)
+        steps = tuple(disclosed(self._step(turn, *n), self._disclosure) for n in kept.steps)
+        return Answered(evidence=kept.evidence, planned=kept.planned, steps=steps)
+
+    def _step(self, turn: Turn, decided: int, ended: int) -> dict[str, Any]:
+        decision, sealed = self._record(turn, decided)
+        if ended < 0:
+            return retold(decision, sealed, None, {})
+        return retold(decision, sealed, *self._record(turn, ended))
+
+    def _record(self, turn: Turn, number: int) -> tuple[Record, dict[str, Sealed]]:
+        rows = turn.rows(number, 1)
+        where = f"record {number}"
+        if not rows:
+            raise StoreError("the log has no such record", where=where, reason=Reason.STORE_CORRUPT)
+        row = self._ledger.opened(rows[0])
+        return read_record(row.record, where=where), read_sealed(row.sealed, where=where)
 
     def remember(self, client: Identifier, key: str, answered: Answered) -> None:
         """Remember an answer for a while."""
@@ -139,28 +160,3 @@ def require_same_plan(known: Digest, evidence: Digest) -> None:
 
 def _place(client: Identifier, key: str) -> str:
     return f"{client} {key}"  # neither may hold a space
-
-
-def _told(turn: Turn, place: str, disclosure: Disclosure) -> Answered | None:
-    """Return what is held under a key, told again from the log."""
-    held = turn.get(_KIND, place)
-    if held is None:
-        return None
-    kept = read_held(held, Kept, _KIND)
-    steps = tuple(disclosed(_step(turn, *numbers), disclosure) for numbers in kept.steps)
-    return Answered(evidence=kept.evidence, planned=kept.planned, steps=steps)
-
-
-def _step(turn: Turn, decided: int, ended: int) -> dict[str, Any]:
-    decision, sealed = _record(turn, decided)
-    if ended < 0:
-        return retold(decision, sealed, None, {})
-    return retold(decision, sealed, *_record(turn, ended))
-
-
-def _record(turn: Turn, number: int) -> tuple[Record, dict[str, Sealed]]:
-    rows = turn.rows(number, 1)
-    where = f"record {number}"
-    if not rows:
-        raise StoreError("the log has no such record", where=where, reason=Reason.STORE_CORRUPT)
-    return read_record(rows[0][1], where=where), read_sealed(rows[0][2], where=where)

@@ -181,7 +181,7 @@ class OpenQuestions:
         for grant in verified.mission.actions:
             request = standing.requests.get(grant.id)
             if request is not None and request.counter == counter:
-                told = _record(act, mid, counter)
+                told = self._record(act, mid, counter)
                 action = told.value("action", Action)
                 return None if action is None else self._put(verified, standing, grant, action)
         return None
@@ -206,7 +206,7 @@ class OpenQuestions:
         grant: Grant,
         request: ApprovalRequest,
     ) -> Question:
-        told = _record(act, verified.mission.mid, request.counter)
+        told = self._record(act, verified.mission.mid, request.counter)
         action = told.value("action", Action)
         asked = None if action is None else self._put(verified, standing, grant, action)
         held = self._gate.enforcer.intake.answers(act, standing).approvals
@@ -243,6 +243,23 @@ class OpenQuestions:
             seq=told.record.link.seq,
         )
 
+    def _record(self, act: Act, mid: MissionId, counter: int) -> _Told:
+        """Return the record of the decision that opened a request.
+
+        Raises:
+            StoreError: there is none, or it does not hold what such a record holds.
+        """
+        number = record_of(act, mid, counter)
+        rows = () if number is None else act.rows(number, 1)
+        where = f"request {counter}"
+        if not rows:
+            raise StoreError("its record is gone", where=where, reason=Reason.STORE_CORRUPT)
+        row = self._gate.ledger.opened(rows[0])
+        try:
+            return _Told(read_record(row.record, where=where), read_sealed(row.sealed, where=where))
+        except MalformedError as error:
+            raise StoreError(error.message, where=where, reason=Reason.STORE_CORRUPT) from error
+
     def _truth(self, told: _Told, verified: VerifiedMission, grant: Grant) -> tuple[bool, ...]:
         """Return which conditions held when people were asked, from the state of that instant."""
         now = told.value("now", Now) or Now(told.record.link.time_ms, 0)
@@ -278,23 +295,6 @@ def _left_open(act: Act) -> dict[tuple[MissionId, int], int]:
     if mid is None or standing is None:
         return {}
     return {(mid, r.counter): r.expires_ms for r in standing.requests.values()}
-
-
-def _record(act: Act, mid: MissionId, counter: int) -> _Told:
-    """Return the record of the decision that opened a request.
-
-    Raises:
-        StoreError: there is none, or it does not hold what such a record holds.
-    """
-    number = record_of(act, mid, counter)
-    rows = () if number is None else act.rows(number, 1)
-    where = f"request {counter}"
-    if not rows:
-        raise StoreError("its record is gone", where=where, reason=Reason.STORE_CORRUPT)
-    try:
-        return _Told(read_record(rows[0][1], where=where), read_sealed(rows[0][2], where=where))
-    except MalformedError as error:
-        raise StoreError(error.message, where=where, reason=Reason.STORE_CORRUPT) from error
 
 
 def _situation(truth: tuple[bool, ...], request: ApprovalRequest) -> bytes | None:

@@ -205,13 +205,13 @@ class View:
         rows = () if wanted is None else self._gate.ledger.peek(lambda turn: turn.rows(wanted, 1))
         if not rows:
             raise no_record(seq)
-        number, written, beside, _ = rows[0]
-        where = f"record {number}"
-        record = read_record(written, where=where)
-        values = read_sealed(beside, where=where)
+        row = self._gate.ledger.opened(rows[0])
+        where = f"record {row.seq}"
+        record = read_record(row.record, where=where)
+        values = read_sealed(row.sealed, where=where)
         digest = record.open.get("mission")
         mission = None if digest is None else self._mission_of(Digest(digest))
-        return explanation(number, record, values, mission=mission)
+        return explanation(row.seq, record, values, mission=mission)
 
     def _last_refusal(self) -> int | None:
         """Return the number of the last refused proposal in the log, with those that waited."""

@@ -102,7 +102,7 @@ def open_key_file(path: Path, passphrase: Passphrase | None = None) -> tuple[Pri
         MalformedError: it is sealed and damaged, or of another format.
         AuthenticityError: the passphrase is wrong, or a key is of no known algorithm.
     """
-    return read_keys(_opened(read_file(path), path, passphrase), path)
+    return read_keys(plain_pem(path, passphrase), path)
 
 
 def certified(keys: tuple[SigningKey, ...], chain_path: Path) -> FileSigner:
@@ -147,7 +147,15 @@ def read_keys(data: bytes, path: Path) -> tuple[PrivateKey, ...]:
     return tuple(_key(block, path) for block in blocks)
 
 
-def _opened(data: bytes, path: Path, passphrase: Passphrase | None) -> bytes:
+def plain_pem(path: Path, passphrase: Passphrase | None = None) -> bytes:
+    """Return the PEM text of a key file, plain or sealed; nobody has looked at the keys in it.
+
+    Raises:
+        EnvironmentFault: it cannot be read.
+        MalformedError: it is sealed and damaged, or of another format.
+        AuthenticityError: the passphrase is wrong, or there is nobody to ask.
+    """
+    data = read_file(path)
     if not is_sealed(data):
         return data
     if passphrase is None:
