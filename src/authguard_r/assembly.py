@@ -53,7 +53,7 @@ from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import STAND_WITHIN_MS, Watch
 from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, safety_digest
-from authguard_r.sealing import Reader, Sealer
+from authguard_r.sealing import Sealer, SealingPolicy, policy_of
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
@@ -116,7 +116,7 @@ def assemble(
     counter: Counter | None = None,
     signer: Signer | None = None,
     notary: NotaryPolicy = NotaryPolicy(),  # noqa: B008 - frozen
-    readers: tuple[Reader, ...] = (),
+    sealing: SealingPolicy | None = None,
 ) -> Gate:
     """Return the gate made of these parts.
 
@@ -139,7 +139,7 @@ def assemble(
         counter: kept outside of the store; without one, a store that was put back is not known.
         signer: the gate's own key, for counter and checkpoints; without one there are none.
         notary: when checkpoints are made, and who witnesses them.
-        readers: who may read sealed fields of the log; what nobody may, is not sealed.
+        sealing: what of the log is sealed; None: as the store holds it of the last gate.
 
     Raises:
         AuthenticityError: the gate's certificate does not hold.
@@ -153,6 +153,7 @@ def assemble(
         at = boot_ms(clock.wall_ms(), trust, since_ms, store.run(last_commit_ms))
         rid, profile = trust.gate_identity(chain, Now(at, 0))
         facts = replace(facts_of(site, rid=rid, profile=profile), risk=risk)
+        kept = policy_of(store, sealing)
         ledger = Ledger(
             store,
             clock,
@@ -163,7 +164,7 @@ def assemble(
             refusals=refusals,
             marks=marks,
             since_ms=since_ms,
-            sealer=None if not readers else Sealer(rid, readers),
+            sealer=Sealer(rid, kept) if kept.readers else None,
         )
         _require_same_log(ledger, trust, marks or {})
         keeps = Notary(ledger, robot=rid, signer=signer, policy=notary)
@@ -176,7 +177,7 @@ def assemble(
         ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
     )
     enforcer = Enforcer(ledger, intake, facts=facts, safety=safety, watch=watch, clock=clock)
-    management = Management(ledger, intake, verifier=trust, facts=facts)
+    management = Management(ledger, intake, verifier=trust, facts=facts, retention=kept.retention)
     anchor.begin()
     enforcer.before_first(management.recover)
     return Gate(

@@ -10,6 +10,7 @@ from enum import StrEnum
 
 from msgspec import Struct
 
+from authguard_r.audit.boxes import DataClass
 from authguard_r.core.identifiers import Base64Url, Count, Digest, MissionId, Positive
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.standing import Outcome
@@ -27,6 +28,8 @@ class Verb(StrEnum):
     WITHDRAW = "withdraw"
     #: Of a store, not of a mission.
     ACCEPT_STORE = "accept_store"
+    #: Of what a log has sealed.
+    SHRED = "shred"
 
 
 EVENTS: dict[Verb, Event] = {
@@ -62,16 +65,18 @@ class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
 
     Args:
         verb: what is asked for.
-        mid: the mission; for `withdraw`, the template's name; for `accept_store`, the robot's.
-        version: its version; for `withdraw` and `accept_store`, 1.
+        mid: the mission; for `withdraw`, the template's name; for `accept_store`, the robot's; for
+            `shred` of records of no mission, the robot's.
+        version: its version; for `withdraw`, `accept_store` and `shred`, 1.
         mission: digest of the mission; for `withdraw`, of the template, which is no mission's;
-            for `accept_store`, the store's L_0.
+            for `accept_store` and `shred`, the store's L_0.
         nonce: fresh random bytes; a command is carried out once.
         expires_ms: trusted time after which it is worth nothing.
         issued_ms: when it was signed, by its signer's clock; 0 where nobody said.
         ticket: for `resolve`, the open release.
         outcome: for `resolve`, what became of it.
         accepts: for `accept_store`, what is accepted.
+        shreds: for `shred`, the classes of sealed fields that are destroyed, sorted.
     """
 
     verb: Verb
@@ -84,3 +89,4 @@ class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
     ticket: Digest | None = None
     outcome: Outcome | None = None
     accepts: StoreClaim | None = None
+    shreds: tuple[DataClass, ...] = ()

@@ -10,7 +10,7 @@ writes nothing. Spec page: docs/spec/store.md#time
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from contextlib import suppress
 from typing import TypeVar
 
@@ -445,6 +445,15 @@ class Act:
     def salt(self) -> str:
         """Return fresh randomness: nobody guesses what was hashed together with it."""
         return b64(self._page.salts(16))
+
+    def forget(self, seq: int, names: Container[str]) -> None:
+        """Let the values of these names beside a record go; its commitments to them stay."""
+        self.changed = True
+        self._turn.forget(seq, names)
+
+    def forget_keys(self, mid: str) -> None:
+        """Forget the keys that a mission's records are sealed with: what comes next has others."""
+        self._page.forget_keys(mid)
 
     def record(self, entry: Entry) -> int:
         """Append one record to the log, behind the refusals that waited."""

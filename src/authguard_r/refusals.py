@@ -320,6 +320,11 @@ class Page:
         taken, self._taken = self._taken, []
         self._refusals.give_back(taken)
 
+    def forget_keys(self, mid: str) -> None:
+        """Forget the keys of a mission's records, whatever becomes of this turn."""
+        if self._sealer is not None:
+            self._sealer.forget(mid)
+
     def _append(self, entry: Entry) -> int:
         if self._marks:
             entry = structs.replace(entry, open={**entry.open, **self._marks})

@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
@@ -275,17 +273,3 @@ def verified(gate: RunningGate) -> dict[str, Any]:
     assert said.returncode == 0, said
     found: dict[str, Any] = json.loads(said.stdout)
     return found
-
-
-def test_a_simulation_that_lost_time_is_where_the_clocks_are() -> None:
-    """Held up for seconds: a mission that begins now, by its author's clock, begins now."""
-    with RunningGate(simulate=True) as gate:
-        os.kill(gate.pid, signal.SIGSTOP)
-        try:
-            time.sleep(2.5)
-        finally:
-            os.kill(gate.pid, signal.SIGCONT)
-        gate.activate()
-        with gate.client(ClientRole.PLANNER) as planner:
-            step = planner.propose(SCAN)["steps"][0]
-    assert (step["reasons"], step["released"]) == ([], True)

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -273,3 +275,17 @@ def test_a_machine_without_a_clock_serves_stops_until_somebody_sets_it(
     ready(gate)
     resumed(gate, mission, digest)
     gate.works()
+
+
+def test_a_simulation_that_lost_time_is_where_the_clocks_are() -> None:
+    """Held up for seconds: a mission that begins now, by its author's clock, begins now."""
+    with RunningGate(simulate=True) as gate:
+        os.kill(gate.pid, signal.SIGSTOP)
+        try:
+            time.sleep(2.5)
+        finally:
+            os.kill(gate.pid, signal.SIGCONT)
+        gate.activate()
+        with gate.client(ClientRole.PLANNER) as planner:
+            step = planner.propose(SCAN)["steps"][0]
+    assert (step["reasons"], step["released"]) == ([], True)

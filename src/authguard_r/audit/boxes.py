@@ -70,8 +70,8 @@ _PARTS: dict[str, tuple[str, ...]] = {
     PARAMS: ("params",),
     REGIONS: ("source", "destination", "route"),
 }
-#: Open fields that name persons; sealed under the same names.
-PERSONS = ("approvers", "by")
+#: Open fields with words that people chose, and what they tell of; sealed under their names.
+SPOKEN: dict[str, Classes] = {"approvers": (_WHO,), "by": (_WHO,), "grant": _TOLD}
 #: The classes that a field tells of. What is not named here tells of everything.
 CLASSES: Final[dict[str, Classes]] = {
     ACT: (_E,),
@@ -80,7 +80,7 @@ CLASSES: Final[dict[str, Classes]] = {
     REGIONS: (_R,),
     **dict.fromkeys(("capability", "influences", LINKS), _TOLD),
     **dict.fromkeys(("findings", "standing", "where", "message", "plan", "entries"), _TOLD),
-    **dict.fromkeys(PERSONS, (_WHO,)),
+    **SPOKEN,
     "command": (_WHO,),
     "dialect": (_E,),
     "extremes": (_P,),
@@ -158,7 +158,7 @@ def append_covered(turn: Turn, entry: Entry, cover: Cover, *, salts: Callable[[i
     seq = turn.head()[0]
     beside = Beside()
     boxes: dict[Classes, dict[str, bytes]] = {}
-    entry = _without_persons(entry, cover)
+    entry = _without_words(entry, cover)
     for name, value in sorted(_fields(entry, cover).items()):
         item = spelled(value, salts(_SALT))
         classes = tuple(one for one in classes_of(name) if one in cover.classes)
@@ -181,8 +181,9 @@ def append_covered(turn: Turn, entry: Entry, cover: Cover, *, salts: Callable[[i
 def opened(row: Row, *, robot: RobotId, key_of: KeyOf) -> Row:
     """Return the row as it would be had nothing of it been sealed, as far as the keys go.
 
-    What stays closed is absent, an action of which a part is closed falls into its parts. The
-    chain does not bind this row any more: what is verified is the one that was given.
+    A box that stays closed lies beside the record as before, one that opened is gone from there
+    and from what the record commits to; an action of which a part is closed falls into its parts.
+    The chain does not bind this row any more: what is verified is the one that was given.
 
     Args:
         row: as it is stored; anybody may have written it.
@@ -196,9 +197,14 @@ def opened(row: Row, *, robot: RobotId, key_of: KeyOf) -> Row:
         return row
     where = f"record {row.seq}"
     record, sealed = read_record(row.record, where=where), read_sealed(row.sealed, where=where)
-    values = {name: one for name, one in sealed.items() if not name.startswith(BOX)}
-    for name in sealed.keys() - values.keys():
-        values |= _opened(name, sealed[name], record, robot, key_of)
+    values, committed = dict(sealed), dict(record.committed)
+    for name in [name for name in sealed if name.startswith(BOX)]:
+        found = _opened(name, sealed[name], record, robot, key_of)
+        if found is not None:
+            del values[name]
+            committed.pop(name, None)
+            values |= found
+    record = replace(record, committed=committed)
     return replace(
         row,
         record=encode_fast(_told(record, values)),
@@ -221,8 +227,8 @@ def act_of(values: dict[str, Any]) -> dict[str, Any] | None:
 
 def _opened(
     name: str, sealed: Sealed, record: Record, robot: RobotId, key_of: KeyOf
-) -> dict[str, Sealed]:
-    """Return what lies in a box, nothing without all of its keys."""
+) -> dict[str, Sealed] | None:
+    """Return what lies in a box, None without all of its keys."""
     where = f"record {record.link.seq}: {name}"
     try:
         box = msgspec.convert(sealed.value, Box)
@@ -231,7 +237,7 @@ def _opened(
         raise MalformedError(f"expected a box: {error}", where=where) from error
     keys = [key_of(box.keys, one) for one in classes]
     if None in keys:
-        return {}
+        return None
     link = record.link
     place = _Where(robot=robot, mid=link.mid, seq=link.seq, classes=classes)
     try:
@@ -248,8 +254,8 @@ def _opened(
 
 
 def _told(record: Record, values: dict[str, Sealed]) -> Record:
-    """Return the record with the persons and the digests that it would tell of."""
-    persons = {name: values[name].value for name in PERSONS if name in values}
+    """Return the record with the words and the digests that it would tell of."""
+    spoken = {name: values[name].value for name in SPOKEN if name in values}
     link = record.link
     if LINKS in values:
         try:
@@ -264,7 +270,7 @@ def _told(record: Record, values: dict[str, Sealed]) -> Record:
             text = "expected the link to be the commitment to both digests"
             raise MalformedError(text, where=f"record {link.seq}: {LINKS}")
         link = replace(link, action=links.action, state=links.state)
-    return replace(record, link=link, open={**record.open, **persons})
+    return replace(record, link=link, open={**record.open, **spoken})
 
 
 class _Links(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -274,7 +280,7 @@ class _Links(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def _whole(values: dict[str, Sealed]) -> dict[str, Sealed]:
     """Return the values as they were before; a whole action has the salt of its first part."""
-    rest = {n: one for n, one in values.items() if n not in PERSONS and n != LINKS}
+    rest = {n: one for n, one in values.items() if n not in SPOKEN and n != LINKS}
     parts = {name: rest.pop(name) for name in _PARTS if name in rest}
     if parts.keys() != _PARTS.keys():
         return rest | parts
@@ -282,13 +288,15 @@ def _whole(values: dict[str, Sealed]) -> dict[str, Sealed]:
     return rest | {"action": Sealed(salt=parts[ACT].salt, value=action)}
 
 
-def _without_persons(entry: Entry, cover: Cover) -> Entry:
-    """Return the entry with the open fields that name persons among the sealed ones."""
-    persons = {name: entry.open[name] for name in PERSONS if name in entry.open}
-    if not persons or _WHO not in cover.classes:
-        return entry
-    rest = {name: value for name, value in entry.open.items() if name not in persons}
-    return replace(entry, open=rest, sealed={**entry.sealed, **persons})
+def _without_words(entry: Entry, cover: Cover) -> Entry:
+    """Return the entry with the open fields that people's words are in among the sealed ones."""
+    spoken = {
+        name: entry.open[name]
+        for name, classes in SPOKEN.items()
+        if name in entry.open and not cover.classes.keys().isdisjoint(classes)
+    }
+    rest = {name: value for name, value in entry.open.items() if name not in spoken}
+    return replace(entry, open=rest, sealed={**entry.sealed, **spoken})
 
 
 def _fields(entry: Entry, cover: Cover) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any, Self
 from authguard_r.client.greeting import GateVerifier, Greeting
 from authguard_r.client.line import Line
 from authguard_r.client.questions import asking, read_questions, signed_answer, the_one
-from authguard_r.client.session import Sent, answer_of, done_of, unreachable
+from authguard_r.client.session import OnEvent, Sent, answer_of, done_of, unreachable
 from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unanswered
 from authguard_r.core.approval import Verdict
 from authguard_r.core.identifiers import RobotId
@@ -192,6 +192,10 @@ class AsyncGateClient:
         """Hand in a signed order to go on with a store that was put back; return what became."""
         return await self._order(Act.ACCEPT_STORE, token)
 
+    async def shred(self, token: bytes) -> dict[str, Any]:
+        """Hand in a signed order to destroy sealed fields of the log; return what has begun."""
+        return await self._order(Act.SHRED, token)
+
     async def evaluate(self, plan: bytes, *, dialect: str = "auto") -> dict[str, Any]:
         """Return what the gate would decide; nothing is used, recorded or released."""
         return await self._quick(Kind.EVALUATE, Evaluate(plan=plan, dialect=dialect))
@@ -299,10 +303,7 @@ class AsyncGateClient:
         return await self._final(self._session.request(kind, message), None, self._timeout_ms)
 
     async def _final(
-        self,
-        sent: Sent,
-        on_event: Callable[[dict[str, Any]], object] | None,
-        timeout_ms: int | None,
+        self, sent: Sent, on_event: OnEvent | None, timeout_ms: int | None
     ) -> dict[str, Any]:
         """Send a request and return its answer; the events before it go to `on_event`."""
         loop = asyncio.get_running_loop()
@@ -317,9 +318,7 @@ class AsyncGateClient:
                 raise late(timeout_ms) from error
             raise
 
-    async def _answer(
-        self, number: int, on_event: Callable[[dict[str, Any]], object] | None
-    ) -> dict[str, Any]:
+    async def _answer(self, number: int, on_event: OnEvent | None) -> dict[str, Any]:
         while True:
             item = await self._wait(lambda: self._session.take(number), None)
             said = answer_of(item)

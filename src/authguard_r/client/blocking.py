@@ -260,6 +260,10 @@ class GateClient:
         """Hand in a signed order to go on with a store that was put back; return what became."""
         return self._order(Act.ACCEPT_STORE, token)
 
+    def shred(self, token: bytes) -> dict[str, Any]:
+        """Hand in a signed order to destroy sealed fields of the log; return what has begun."""
+        return self._order(Act.SHRED, token)
+
     def evaluate(self, plan: bytes, *, dialect: str = "auto") -> dict[str, Any]:
         """Return what the gate would decide; nothing is used, recorded or released."""
         return self._quick(Kind.EVALUATE, Evaluate(plan=plan, dialect=dialect))

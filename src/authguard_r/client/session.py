@@ -290,8 +290,10 @@ def answer_of(item: Frame) -> dict[str, Any]:
     return read_body(item.body, dict[str, Any])
 
 
+#: What is told of an event before an answer.
+OnEvent = Callable[[dict[str, Any]], object]
 #: What the answer to an order calls what became of it; to any other, a standing.
-_CALLED = {Act.REVOCATIONS: "revocations", Act.ACCEPT_STORE: "accepted"}
+_CALLED = {Act.REVOCATIONS: "revocations", Act.ACCEPT_STORE: "accepted", Act.SHRED: "shredding"}
 
 
 def done_of(act: Act, said: dict[str, Any]) -> dict[str, Any]:

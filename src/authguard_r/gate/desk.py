@@ -29,6 +29,7 @@ from authguard_r.gate.streams import Streams
 from authguard_r.gate.view import View
 from authguard_r.management.lists import Received
 from authguard_r.management.rollback import AcceptedStore
+from authguard_r.management.shredding import Shredding
 from authguard_r.normalize import Step
 from authguard_r.report import Judged
 from authguard_r.templates.kept import TemplateStanding
@@ -56,9 +57,13 @@ PART = 1_024
 #: Tells everybody who watches.
 Publish = Callable[[dict[str, Any]], None]
 #: What became of an order.
-_Done = Standing | TemplateStanding | VerifiedApproval | Received | AcceptedStore
+_Done = Standing | TemplateStanding | VerifiedApproval | Received | AcceptedStore | Shredding
 #: What an answer calls it; anything else is a standing.
-_NAMED: dict[type, str] = {Received: "revocations", AcceptedStore: "accepted"}
+_NAMED: dict[type, str] = {
+    Received: "revocations",
+    AcceptedStore: "accepted",
+    Shredding: "shredding",
+}
 
 
 class Desk:
@@ -119,6 +124,7 @@ class Desk:
             Act.TEMPLATE: lambda o: gate.management.template(o.token, confirmation=o.confirmation),
             Act.REVOCATIONS: lambda o: gate.lists.install(o.token),
             Act.ACCEPT_STORE: lambda o: gate.management.accept_store(o.token),
+            Act.SHRED: lambda o: gate.management.shred(o.token),
         }
         self._table: dict[Kind, Callable[[Client, int, Any], None]] = {
             Kind.PROPOSE: self._propose,

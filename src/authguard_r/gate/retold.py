@@ -42,7 +42,7 @@ def retold(
             "reasons": opened["reasons"],
             "findings": findings,
             "influenced_by": _value(sealed, "influences"),
-            "grant": None if opened["grant"] == NONE else opened["grant"],
+            "grant": None if opened.get("grant", NONE) == NONE else opened["grant"],
             "required_approvals": opened["required"],
             "risk": opened["risk"],
             "deviation": opened["deviation"][0] / opened["deviation"][1],

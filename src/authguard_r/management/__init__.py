@@ -31,9 +31,13 @@ from authguard_r.management.policy import hold_policy
 from authguard_r.management.recovery import mark_started, mark_stopped, recover
 from authguard_r.management.repetition import admit, withdraw
 from authguard_r.management.rollback import AcceptedStore, accept_store
+from authguard_r.management.shredding import Shredding, retire, shred, shred_on
+from authguard_r.sealing import Retention
 from authguard_r.templates import TemplateStanding
 
 T = TypeVar("T")
+#: How often it is looked whether retention is over, in milliseconds.
+RETIRE_MS = 60_000
 
 
 class Management:
@@ -44,14 +48,22 @@ class Management:
         intake: verifies missions, templates and approvals.
         verifier: verifies commands and selections.
         facts: the signed site and the gate's identity.
+        retention: how long sealed fields are kept.
     """
 
     def __init__(
-        self, ledger: Ledger, intake: Intake, *, verifier: Verifier, facts: SiteFacts
+        self,
+        ledger: Ledger,
+        intake: Intake,
+        *,
+        verifier: Verifier,
+        facts: SiteFacts,
+        retention: tuple[Retention, ...] = (),
     ) -> None:
         self._ledger = ledger
+        self._retired_ms = -RETIRE_MS
         self._intake = intake
-        self._parts = Parts(intake=intake, verifier=verifier, facts=facts)
+        self._parts = Parts(intake=intake, verifier=verifier, facts=facts, retention=retention)
 
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
         """Take in a mission, or the next version of the active one, and make it active.
@@ -115,6 +127,37 @@ class Management:
         done = attempt(self._ledger, job)
         self._intake.anchor.accepted()
         return done
+
+    def shred(self, token: bytes) -> Shredding:
+        """Destroy the keys of sealed fields, as a signed order says; `shred_on` does the rest.
+
+        Raises:
+            AuthGuardError: malformed, not authentic, not allowed, or too early; nothing was
+                changed.
+        """
+        return attempt(self._ledger, lambda act: shred(act, token, parts=self._parts))
+
+    def retire(self) -> tuple[Shredding, ...]:
+        """Destroy the keys of sealed fields that were kept as long as they may be.
+
+        Looks once a minute, however often it is asked.
+
+        Raises:
+            EnvironmentFault: nothing was destroyed.
+        """
+        now_ms = self._ledger.mono_ms()
+        if not self._parts.retention or 0 < now_ms - self._retired_ms < RETIRE_MS:
+            return ()
+        self._retired_ms = now_ms
+        return self._ledger.run(lambda act: retire(act, parts=self._parts), essential=True)
+
+    def shred_on(self) -> bool:
+        """Destroy some more of what is sealed under keys that are gone; False: nothing is left.
+
+        Raises:
+            EnvironmentFault: not now.
+        """
+        return self._ledger.run(shred_on, essential=True)
 
     def select(self, token: bytes) -> Standing:
         """Take in a signed choice of one row.

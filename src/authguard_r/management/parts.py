@@ -24,6 +24,7 @@ from authguard_r.core.standing import Standing
 from authguard_r.intake import Intake
 from authguard_r.ledger import STOP, Act, Ledger, stop_stands
 from authguard_r.report import refusal_entry
+from authguard_r.sealing import Retention
 
 T = TypeVar("T")
 #: Where the store holds when it was accepted last, trusted time in milliseconds.
@@ -37,11 +38,13 @@ class Parts(Struct, frozen=True, kw_only=True):
         intake: verifies missions, templates and approvals.
         verifier: verifies commands and selections.
         facts: the signed site and the gate's identity.
+        retention: how long sealed fields are kept.
     """
 
     intake: Intake
     verifier: Verifier
     facts: SiteFacts
+    retention: tuple[Retention, ...] = ()
 
 
 def attempt(ledger: Ledger, job: Callable[[Act], T]) -> T:

@@ -144,7 +144,7 @@ def require_fresh(act: Act, command: Command) -> None:
     """Refuse an order that ran out, or that was carried out before."""
     if act.now.utc_ms > command.expires_ms or act.get("command", command.nonce) is not None:
         raise refuse(Reason.EXPIRED, "the command ran out or was carried out already")
-    if command.verb not in NARROWING and command.verb is not Verb.ACCEPT_STORE:
+    if command.verb not in NARROWING and command.verb not in {Verb.ACCEPT_STORE, Verb.SHRED}:
         require_signed_since(act, command.issued_ms)
 
 

@@ -241,6 +241,8 @@ class Act(StrEnum):
     REVOCATIONS = "revocations"
     #: a signed order to go on with a store that was put back
     ACCEPT_STORE = "accept_store"
+    #: a signed order to destroy sealed fields of the log
+    SHRED = "shred"
 
 
 class Order(_Message, frozen=True, kw_only=True):

@@ -439,10 +439,10 @@ def test_nothing_is_decided_once_the_gate_ends_however_it_came() -> None:
         assert [r.link.decision for r in house.log("outcome")] == ["aborted"]
 
 
-def test_simulated_time_passes_as_real_time_does_while_nothing_moves() -> None:
+def test_simulated_time_is_told_whether_something_moves() -> None:
     with House(robot=False, store=MemoryStore()) as house:
-        passed: list[int] = []
-        house.service._advance = passed.append
+        moving: list[bool] = []
+        house.service._advance = moving.append
         house.do(house.service._look)
-        assert passed == [50]
+        assert moving == [False]
         house.service._advance = None

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a gate's log is sealed, for whom, and for how long: part of its signed configuration.
+
+Spec page: docs/spec/sealed-fields.md#readers
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from authguard_r.audit.boxes import DataClass
+from authguard_r.core.encoding import encode
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import Base64Url, Count, Identifier
+from authguard_r.core.ports import Store, Turn
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.readers import ReaderPublic, read_public
+from authguard_r.ledger import read_held
+
+#: Where the store holds what the last gate sealed.
+POLICY, NEWEST = "sealing-policy", "newest"
+
+
+class Reader(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One key that may read some classes of sealed fields.
+
+    Args:
+        role: who has the key: a word of the organization's; grants nothing else.
+        classes: what it opens, sorted and unique.
+        key: the public key, base64url (`authguard audit reader` prints it).
+    """
+
+    role: Identifier
+    classes: Annotated[tuple[DataClass, ...], Meta(min_length=1)]
+    key: Base64Url
+
+
+class Retention(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How long the sealed fields of a class are kept after their mission's expiry.
+
+    Args:
+        data: the class.
+        least_ms: they are not destroyed before, whoever orders it.
+        most_ms: the gate destroys them then by itself; 0: it never does.
+    """
+
+    data: DataClass
+    least_ms: Count = 0
+    most_ms: Count = 0
+
+
+class SealingPolicy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What of a log is sealed, for whom, and for how long.
+
+    Args:
+        readers: who may read; what nobody may is not sealed.
+        retention: how long it is kept.
+    """
+
+    readers: tuple[Reader, ...] = ()
+    retention: tuple[Retention, ...] = ()
+
+
+def require_readers(readers: tuple[Reader, ...], *, where: str) -> tuple[ReaderPublic, ...]:
+    """Return the keys of readers who have to have one each, and classes sorted and unique.
+
+    Raises:
+        MalformedError: one has no key that holds, or two have the same.
+    """
+    keys = tuple(
+        read_public(reader.key, where=f"{where}[{number}].key")
+        for number, reader in enumerate(readers)
+    )
+    for number, reader in enumerate(readers):
+        if sorted(set(reader.classes)) != list(reader.classes):
+            raise MalformedError(
+                "expected classes sorted, each once",
+                where=f"{where}[{number}].classes",
+                reason=Reason.SCHEMA_INVALID,
+            )
+    if len({key.raw for key in keys}) != len(keys):
+        raise MalformedError(
+            "expected a key of its own for each reader", where=where, reason=Reason.SCHEMA_INVALID
+        )
+    return keys
+
+
+def require_retention(
+    rules: tuple[Retention, ...], readers: tuple[Reader, ...], *, where: str
+) -> None:
+    """Refuse rules about what is not sealed, two about one class, or one that contradicts itself.
+
+    Raises:
+        MalformedError: with the rule.
+    """
+    sealed = {one for reader in readers for one in reader.classes}
+    names = [rule.data for rule in rules]
+    for number, rule in enumerate(rules):
+        if rule.data not in sealed or 0 < rule.most_ms < rule.least_ms:
+            raise MalformedError(
+                "expected a class that a reader may read, and `most_ms` not below `least_ms`",
+                where=f"{where}[{number}]",
+                reason=Reason.SCHEMA_INVALID,
+            )
+    if sorted(set(names)) != names:
+        raise MalformedError(
+            "expected classes sorted, each once", where=where, reason=Reason.SCHEMA_INVALID
+        )
+
+
+def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:
+    """Return what is sealed: as the gate's configuration says, which the store then holds too.
+
+    Args:
+        store: the robot's.
+        given: of the configuration; None: who acts on the store has none, and what the last gate
+            had goes on.
+
+    Raises:
+        StoreError: what is held is none.
+    """
+    spelled = None if given is None else encode(given)
+
+    def job(turn: Turn) -> bytes | None:
+        held = turn.get(POLICY, NEWEST)
+        if spelled is not None and spelled != held and (held or given != SealingPolicy()):
+            turn.put(POLICY, NEWEST, spelled)
+        return held
+
+    held = store.run(job)
+    if given is not None or not held:
+        return given or SealingPolicy()
+    return read_held(held, SealingPolicy, POLICY)

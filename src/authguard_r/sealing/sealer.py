@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seals what a gate writes: keys of each mission, in this process alone, told in the log.
+
+Whoever takes the robot has its log and cannot read it. Another start makes other keys.
+Spec page: docs/spec/sealed-fields.md#keys
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Callable
+
+from authguard_r.audit.boxes import SEALING, WRAP, Cover, append_covered, opened
+from authguard_r.audit.record import NONE, Entry, append
+from authguard_r.audit.verify import Row
+from authguard_r.core.encoding import b64, encode
+from authguard_r.core.identifiers import MissionId, RobotId
+from authguard_r.core.ports import Turn
+from authguard_r.ledger import read_held
+from authguard_r.sealing.kept import HELD, Kept, due_missions, hold_due
+from authguard_r.sealing.policy import SealingPolicy, require_readers
+from authguard_r.sealing.wraps import Wrapped, WrappedFor
+
+#: Missions whose keys are in memory at a time; more than one only around a change of missions.
+_MOST_COVERS = 4
+_KEY = 32
+
+
+class Sealer:
+    """Seals what a gate writes into its log.
+
+    Args:
+        robot: whose log it is.
+        policy: who may read, what no reader may read is not sealed; and for how long.
+        random: returns that many fresh random bytes.
+    """
+
+    def __init__(
+        self,
+        robot: RobotId,
+        policy: SealingPolicy,
+        *,
+        random: Callable[[int], bytes] = os.urandom,
+    ) -> None:
+        self._robot = robot
+        self._random = random
+        readers = policy.readers
+        self._retires = any(rule.most_ms for rule in policy.retention)
+        self._readers = tuple(zip(readers, require_readers(readers, where="readers"), strict=True))
+        self._classes = tuple(sorted({one for reader in readers for one in reader.classes}))
+        self._covers: OrderedDict[str, tuple[bytes, Cover]] = OrderedDict()
+
+    def append(self, turn: Turn, entry: Entry, *, salts: Callable[[int], bytes]) -> int:
+        """Append the entry to the log in this turn, sealed, behind the keys when those are new."""
+        cover = self._cover(turn, entry, salts)
+        return append_covered(turn, entry, cover, salts=salts)
+
+    def opened(self, row: Row) -> Row:
+        """Return a row as it would be had nothing been sealed, as far as this start's keys go.
+
+        Raises:
+            MalformedError: it is not what was sealed.
+        """
+        covers = {cover.keys: cover for _, cover in self._covers.values()}
+        return opened(
+            row,
+            robot=self._robot,
+            key_of=lambda seq, data: covers[seq].classes.get(data) if seq in covers else None,
+        )
+
+    def forget(self, mid: str) -> None:
+        """Forget a mission's keys: what comes next has others."""
+        self._covers.pop(mid, None)
+
+    def _cover(self, turn: Turn, entry: Entry, salts: Callable[[int], bytes]) -> Cover:
+        held = turn.get(HELD, entry.mid)
+        known = self._covers.get(entry.mid)
+        if known is not None and known[0] == held:  # else its record was not committed
+            return known[1]
+        seq = turn.head()[0]
+        classes = {one: self._random(_KEY) for one in self._classes}
+        cover = Cover(robot=self._robot, keys=seq, classes=classes)
+        before = None if not held else read_held(held, Kept, HELD)
+        self._tell(turn, entry, cover, before, salts)
+        kept = encode(Kept(newest=seq))
+        turn.put(HELD, entry.mid, kept)
+        if self._retires and before is None and entry.mid != NONE:
+            hold_due(turn, (*due_missions(turn), MissionId(entry.mid)))
+        self._covers[entry.mid] = (kept, cover)
+        self._covers.move_to_end(entry.mid)
+        while len(self._covers) > _MOST_COVERS:
+            self._covers.popitem(last=False)
+        return cover
+
+    def _tell(
+        self,
+        turn: Turn,
+        entry: Entry,
+        cover: Cover,
+        before: Kept | None,
+        salts: Callable[[int], bytes],
+    ) -> None:
+        """Record the keys, wrapped for everybody who may have them."""
+        wraps: dict[str, list[Wrapped]] = {}
+        for reader, public in self._readers:
+            for data in reader.classes:
+                bound = WrappedFor(
+                    robot=self._robot,
+                    mid=entry.mid,
+                    keys=cover.keys,
+                    data=data,
+                    reader=public.name,
+                )
+                text = b64(public.wrap(cover.classes[data], encode(bound)))
+                wrapped = Wrapped(reader=public.name, role=reader.role, text=text)
+                wraps.setdefault(WRAP + data, []).append(wrapped)
+        told = Entry(
+            kind=SEALING,
+            time_ms=entry.time_ms,
+            decision=SEALING,
+            mid=entry.mid,
+            open={
+                "classes": list(self._classes),
+                "roles": sorted({reader.role for reader, _ in self._readers}),
+                "before": -1 if before is None else before.newest,
+            },
+            sealed=wraps,
+        )
+        append(turn, told, salts=salts(16 * len(wraps)))

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gate that seals its log: real processes, killed in the middle, told to destroy it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sealed
+import worlds
+from authguard_r.audit.boxes import BOX, WRAP, DataClass
+from authguard_r.audit.verify import Row
+from authguard_r.cli.replay import Replay
+from authguard_r.commands import Verb
+from authguard_r.core.approval import Verdict
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.mission import Mission
+from authguard_r.keys.trust import read_trust
+from authguard_r.wire.messages import ClientRole
+from gates import AUTHGUARD, RunningGate, until
+from integration.test_approvals_gate import PLAN, asks, key, reasons
+from integration.test_gate_watching import operator, order
+
+REGION, PERSON = DataClass.REGION, DataClass.PERSON
+SCAN = b"scan()"
+READERS = (sealed.reader("auditor"), sealed.reader("porter", REGION))
+
+
+class SealingGate(RunningGate):
+    """A gate with the robot inside, which seals for an auditor and a porter."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(simulate=True, refusals=0, fold_ms=0, readers=READERS, **more)
+
+    def active(self, **changes: Any) -> tuple[Mission, str]:
+        mission = self.mission(**changes)
+        return mission, self.activate(self.token(mission))["digest"]
+
+    def scans(self, count: int = 1) -> None:
+        with self.client(ClientRole.PLANNER) as planner:
+            for _ in range(count):
+                step = planner.propose(SCAN)["steps"][0]
+                assert step["reasons"] == []
+
+    def refused(self, count: int) -> None:
+        """Let the planner ask for what its mission does not grant."""
+        with self.client(ClientRole.PLANNER) as planner:
+            for _ in range(count):
+                assert not planner.propose(PLAN)["steps"][-1]["released"]
+
+    def ends(self, mission: Mission, digest: str) -> None:
+        with operator(self) as person:
+            person.command(order(self, mission, digest, Verb.REVOKE))
+
+    def shreds(self, mid: str, *classes: DataClass, words: tuple[object, ...] = ()) -> Any:
+        """Order as a person does at a terminal; return exit code and what is said."""
+        said = ["audit", "shred", mid, "--trust", self.trust, "--yes", "--json"]
+        said += [word for data in classes for word in ("--class", data)]
+        said += words or ("--gate", self.run)
+        done = subprocess.run(
+            [str(AUTHGUARD), *map(str, said)], capture_output=True, check=False, cwd=worlds.ROOT
+        )
+        return done.returncode, json.loads(done.stdout)
+
+    def shredded(self) -> bool:
+        """True when the log says that every box is gone."""
+        return any(told.open.get("verb") == "shredded" for told in self.records())
+
+
+@pytest.fixture
+def gate() -> Iterator[SealingGate]:
+    with SealingGate() as running:
+        yield running
+
+
+def replayed(rows: list[Row], trust: Path, role: str = "auditor") -> Replay:
+    replay = Replay(read_trust(trust))
+    for row in sealed.opened(rows, role):
+        assert replay.see(row) is None
+    return replay
+
+
+def test_the_log_of_a_gate_is_closed_to_who_has_the_file_and_open_to_its_auditor(
+    gate: SealingGate,
+) -> None:
+    mission, digest = gate.active()
+    gate.scans(2)
+    with gate.client(ClientRole.PLANNER) as planner:
+        plan = b'{"tool": "navigate_to", "arguments": {"destination": "Nowhere-7", "speed": 0.5}}'
+        assert planner.propose(plan)["steps"][0]["reasons"] == ["NAME_UNKNOWN"]
+    with operator(gate) as person:
+        assert "Nowhere-7" in str(person.explain(None)["text"])  # its own gate knows
+    gate.ends(mission, digest)
+    gate.stop_process("gate")
+    rows = sealed.rows_of(gate.store)
+    said = b"".join(row.record + row.sealed for row in rows[1:])
+    for word in ("Nowhere-7", "operator-1", "scan", "camera", mission.task, "look-out", "speed"):
+        assert word.encode() not in said, word
+    replay = replayed(rows, gate.trust)
+    assert (replay.agree, replay.decisions) == (2, 2)
+    porter = replayed(rows, gate.trust, "porter")
+    assert (porter.agree, porter.not_replayable) == (0, 2)
+
+
+def test_a_repeat_after_a_restart_is_told_without_what_is_closed(gate: SealingGate) -> None:
+    gate.active()
+    with gate.client(ClientRole.PLANNER) as planner:
+        first = planner.propose(SCAN, key="one")["steps"][0]
+    gate.kill9()
+    gate.start_gate()
+    with gate.client(ClientRole.PLANNER) as planner:
+        again = planner.propose(SCAN, key="one")
+    step = again["steps"][0]
+    assert again["repeated"] is True
+    for name in ("outcome", "reasons", "released", "seq"):
+        assert step[name] == first[name]
+
+
+def test_an_open_request_of_before_a_restart_shows_nothing_that_is_closed(
+    gate: SealingGate,
+) -> None:
+    """What the gate cannot read, nobody is shown, so nobody signs an answer to it."""
+    gate.activate(gate.token(asks(gate)))
+    with gate.client(ClientRole.PLANNER) as planner:
+        until(lambda: reasons(planner) == ["APPROVAL_REQUIRED"], "the question")
+        with gate.client(ClientRole.OPERATOR) as console:
+            (question,) = console.approvals()
+            assert question.scope_bytes is not None
+    gate.stop_process("gate")
+    gate.start_gate()
+    with gate.client(ClientRole.OPERATOR) as console:
+        (question,) = console.approvals()
+        assert (question.scope_bytes, question.is_current) == (None, False)
+        with pytest.raises(AuthGuardError):
+            console.answer(question, Verdict.APPROVE, key("supervisor-1"))
+
+
+def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
+    gate: SealingGate,
+) -> None:
+    mission, digest = gate.active()
+    gate.refused(200)
+    code, told = gate.shreds(mission.mid, REGION)
+    assert (code, told["error"]["code"]) == (1, "TRANSITION_REFUSED")  # it goes on
+    gate.ends(mission, digest)
+    code, told = gate.shreds(mission.mid, REGION)
+    assert (code, told["shredding"]["classes"], gate.shredded()) == (0, ["region"], False)
+    gate.kill9()
+    gate.start_gate()
+    until(gate.shredded, "the last box")
+    assert gate.shreds(mission.mid, REGION)[1]["error"]["code"] == "MISSION_UNKNOWN"
+    gate.stop_process("gate")
+    rows = sealed.rows_of(gate.store)
+    mine = [row for row in rows if sealed.told(row).link.mid == mission.mid]
+    names = {name for row in mine for name in sealed.values(row)}
+    assert not [name for name in names if name.startswith((BOX, WRAP)) and "region" in name]
+    replay = replayed(rows, gate.trust)
+    assert (replay.agree, replay.not_replayable) == (0, replay.decisions)
+    porter = b"".join(row.sealed for row in sealed.opened(rows, "porter")[1:])
+    assert b'"x_mm"' not in porter
+
+
+def test_an_order_is_carried_out_on_a_store_that_no_gate_holds(gate: SealingGate) -> None:
+    mission, digest = gate.active()
+    gate.scans()
+    gate.ends(mission, digest)
+    gate.stop_process("gate")
+    place = ("--store", gate.store, "--site", gate.site, "--robot", gate.rid)
+    code, told = gate.shreds(mission.mid, PERSON, words=place)
+    assert (code, told["shredding"]["mid"]) == (0, mission.mid)
+    code, told = gate.shreds("-", PERSON, REGION, words=place)
+    assert (code, told["shredding"]["mid"]) == (0, "-")
+    mine = [row for row in sealed.rows_of(gate.store) if sealed.told(row).link.mid == mission.mid]
+    assert not [name for row in mine for name in sealed.values(row) if "person" in name]
+    assert gate.shreds(mission.mid, PERSON, words=("--store", gate.store))[0] == 2  # no site

@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sealed fields are destroyed by a signed order or when their time is over, and the chain stays.
+
+Source: docs/spec/sealed-fields.md#shredding
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import apsw
+import pytest
+
+import sealed
+import worlds
+from authguard_r.assembly import Simulation
+from authguard_r.audit.boxes import BOX, WRAP, DataClass
+from authguard_r.audit.record import Entry
+from authguard_r.audit.verify import Row
+from authguard_r.cli.replay import Replay
+from authguard_r.commands import Verb
+from authguard_r.core.encoding import b64
+from authguard_r.core.errors import AuthGuardError, StoreError
+from authguard_r.core.mission import Mission
+from authguard_r.core.quantities import to_ms
+from authguard_r.management.shredding import DAY_MS, PAGE
+from authguard_r.sealing.kept import HELD, due_missions
+
+REGION, OBJECT, PERSON = DataClass.REGION, DataClass.OBJECT, DataClass.PERSON
+GO = worlds.navigate("dock", "pharmacy")
+MINUTE_MS = 60_000
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "store").mkdir()
+    return tmp_path / "store" / "robot.db"
+
+
+def ended(sim: Simulation, **changes: Any) -> Mission:
+    """Let a mission begin, do something and be revoked."""
+    mission = sealed.active(sim, **changes)
+    worlds.propose(sim, GO)
+    sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+    return mission
+
+
+def finished(sim: Simulation) -> int:
+    """Destroy every box whose keys are gone; return how many turns that took."""
+    turns = 1
+    while sim.gate.management.shred_on():
+        turns += 1
+    return turns
+
+
+def names(rows: list[Row], mid: str) -> set[str]:
+    """Return what is sealed beside the records of a mission."""
+    return {
+        name
+        for row in rows
+        if sealed.told(row).link.mid == mid
+        for name in sealed.values(row)
+        if name.startswith((BOX, WRAP))
+    }
+
+
+def ciphertexts(rows: list[Row], mid: str, data: DataClass) -> list[bytes]:
+    """Return what is encrypted under the key of a class: boxes, and the wrapped key itself."""
+    found: list[bytes] = []
+    for row in rows:
+        if sealed.told(row).link.mid == mid:
+            for name, value in sealed.values(row).items():
+                if name.startswith(BOX) and data in name:
+                    found.append(value["text"][:40].encode())  # longer ones lie on two pages
+                if name == WRAP + data:
+                    found += [wrapped["text"][:40].encode() for wrapped in value]
+    assert len(found) > 2
+    return found
+
+
+def verbs(rows: list[Row], verb: str) -> list[Row]:
+    return [row for row in rows if sealed.told(row).link.decision == verb]
+
+
+def refused(sim: Simulation, token: bytes) -> AuthGuardError:
+    before = sim.gate.ledger.peek(lambda turn: turn.rows(0, 100))
+    with pytest.raises(AuthGuardError) as error:
+        sim.gate.management.shred(token)
+    after = sim.gate.ledger.peek(lambda turn: turn.rows(0, 100))
+    assert after[: len(before)] == before
+    assert not sim.gate.management.shred_on()
+    return error.value
+
+
+def test_an_order_destroys_a_class_for_every_reader_and_the_chain_stays_whole(path: Path) -> None:
+    both = sealed.policy(sealed.reader("auditor"), sealed.reader("porter", REGION))
+    with sealed.sealing(path, both) as sim:
+        mission = ended(sim)
+        texts = ciphertexts(sealed_rows(sim), mission.mid, REGION)
+        assert all(text in sealed.files(path) for text in texts)
+        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        assert (done.mid, done.classes, len(done.keys)) == (mission.mid, (REGION,), 1)
+        finished(sim)
+        assert not any(text in sealed.files(path) for text in texts)
+    rows = sealed.rows_of(path)
+    assert not [name for name in names(rows, mission.mid) if "region" in name]
+    assert "box.object" in names(rows, mission.mid)
+    for role in ("auditor", "porter"):
+        read = b"".join(row.record + row.sealed for row in sealed.opened(rows, role)[1:])
+        assert b'"destination":"pharmacy"' not in read
+    (order,), (end,) = verbs(rows, "shred"), verbs(rows, "shredded")
+    told = sealed.told(sealed.opened(rows)[order.seq])
+    assert (told.link.mid, told.open["of"], told.open["by"]) == (
+        "-",
+        mission.mid,
+        "site-authority-1",
+    )
+    assert sealed.told(end).open["order"] == order.seq == done.order
+    assert sealed.told(end).open["boxes"] > 0
+
+
+def test_what_a_store_holds_of_the_mission_beside_its_log_goes_with_it(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        digest = sealed_digest(sim, mission)
+        token = sim.gate.ledger.peek(lambda turn: turn.get("token", digest))
+        assert token is not None
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        finished(sim)
+        assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
+        assert not any(token[at : at + 80] in sealed.files(path) for at in range(0, 2_000, 80))
+        standing = sim.gate.management.standing(mission.mid)
+        assert (standing.requests, standing.selected) == ({}, {})
+    with sealed.sealing(path) as sim, pytest.raises(AuthGuardError) as again:
+        sim.gate.management.activate(worlds.token(mission))
+    assert again.value.reason == "REVOKED"
+
+
+def sealed_digest(sim: Simulation, mission: Mission) -> str:
+    standing = sim.gate.management.standing(mission.mid)
+    assert standing is not None
+    return standing.digest
+
+
+def test_decisions_of_which_something_is_destroyed_are_not_replayable(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        first, second = ended(sim), ended(sim, mission="second")
+        sim.gate.management.shred(sealed.shred_order(sim, first.mid, OBJECT))
+        finished(sim)
+    replay = Replay(None)
+    for row in sealed.opened(sealed.rows_of(path)):
+        assert replay.see(row) is None
+    assert (replay.decisions, replay.agree, replay.not_replayable) == (2, 1, 1)
+    assert second.mid != first.mid
+
+
+def test_missions_beside_it_are_untouched(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        first, second = ended(sim), ended(sim, mission="second")
+        before = names(sealed_rows(sim), second.mid)
+        sim.gate.management.shred(sealed.shred_order(sim, first.mid, *sealed.EVERY))
+        finished(sim)
+        assert names(sealed_rows(sim), first.mid) == set()
+        assert names(sealed_rows(sim), second.mid) == before
+
+
+def sealed_rows(sim: Simulation) -> list[Row]:
+    return [Row(*row) for row in sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
+
+
+def test_keys_go_with_the_order_and_boxes_in_turns_that_a_crash_does_not_lose(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = sealed.active(sim)
+        for _ in range(PAGE):
+            worlds.propose(sim, worlds.navigate("dock", "nowhere"))
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        assert not [n for n in names(sealed_rows(sim), mission.mid) if n.startswith(WRAP)]
+        assert sim.gate.management.shred_on()
+        left = names(sealed_rows(sim), mission.mid)
+        assert left
+    with sealed.sealing(path) as sim:  # it never came to the end
+        assert finished(sim) >= 1
+        assert names(sealed_rows(sim), mission.mid) == set()
+        assert not sim.gate.management.shred_on()
+    (end,) = verbs(sealed.rows_of(path), "shredded")
+    assert sealed.told(end).open["boxes"] >= PAGE
+
+
+def test_every_start_of_a_mission_is_reached(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = sealed.active(sim)
+    for _ in range(2):
+        with sealed.sealing(path) as sim:
+            worlds.propose(sim, GO)
+    with sealed.sealing(path) as sim:
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, PERSON))
+        assert len(done.keys) == 4
+        finished(sim)
+        left = names(sealed_rows(sim), mission.mid)
+        assert not [name for name in left if "person" in name]
+        # the other classes can still go, and then nothing is left to order
+        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION, OBJECT))
+        assert len(done.keys) == 4
+        finished(sim)
+        gone = refused(sim, sealed.shred_order(sim, mission.mid, PERSON))
+        assert gone.reason == "MISSION_UNKNOWN"
+
+
+def test_records_of_no_mission_can_be_destroyed_too(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        sim.gate.ledger.note(lambda at: said("a secret", at))
+        done = sim.gate.management.shred(sealed.shred_order(sim, "-", *sealed.EVERY))
+        finished(sim)
+        assert done.mid == "-"
+        sim.gate.ledger.note(lambda at: said("what comes later", at))
+    rows = sealed.rows_of(path)
+    read = b"".join(row.sealed for row in sealed.opened(rows))
+    assert (b"a secret" in read, b"what comes later" in read) == (False, True)
+    # who ordered it is read by whoever reads persons: sealed under the next keys
+    assert sealed.told(sealed.opened(rows)[done.order]).open["by"] == "site-authority-1"
+
+
+def said(why: str, at: int) -> Entry:
+    return Entry(kind="stop", time_ms=at, decision="stop", open={}, sealed={"why": why})
+
+
+# who, what and when
+
+
+@pytest.mark.parametrize("by", ["operator-1", "safety-officer-1", "supervisor-1"])
+def test_only_who_says_who_reads_may_destroy(path: Path, by: str) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION, by=by)).reason == (
+            "ROLE_DENIED"
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"verb": Verb.REVOKE}, "TRANSITION_REFUSED"),
+        ({"shreds": ()}, "TRANSITION_REFUSED"),
+        ({"shreds": (REGION, OBJECT)}, "TRANSITION_REFUSED"),
+        ({"shreds": (REGION, REGION)}, "TRANSITION_REFUSED"),
+        ({"mission": b64(bytes(32))}, "ROLLED_BACK"),  # another store's order
+        ({"expires_ms": 1}, "EXPIRED"),
+        ({"mid": "never"}, "MISSION_UNKNOWN"),
+    ],
+)
+def test_an_order_says_exactly_what(path: Path, changes: dict[str, Any], reason: str) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        token = sealed.shred_order(sim, mission.mid, REGION, **changes)
+        assert refused(sim, token).reason == reason
+
+
+def test_an_order_is_carried_out_once(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        token = sealed.shred_order(sim, mission.mid, REGION)
+        sim.gate.management.shred(token)
+        finished(sim)
+        assert refused(sim, token).reason == "EXPIRED"
+
+
+def test_a_mission_that_goes_on_keeps_its_fields(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = sealed.active(sim)
+        told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+        assert (told.reason, "end it first" in told.message) == ("TRANSITION_REFUSED", True)
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + 1_000)
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))  # nothing begins
+
+
+def expiry_ms(mission: Mission) -> int:
+    return to_ms(mission.expiry, where="expiry")
+
+
+def test_what_was_never_sealed_cannot_be_destroyed(path: Path) -> None:
+    with sealed.sealing(path) as sim:
+        mission = ended(sim)
+        told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+        assert (told.reason, "nothing is sealed" in told.message) == ("MISSION_UNKNOWN", True)
+        assert refused(sim, sealed.shred_order(sim, "-", REGION)).reason == "MISSION_UNKNOWN"
+
+
+# retention
+
+
+def later(sim: Simulation, ms: int) -> None:
+    """Let time pass at once: nothing moves, and days are many looks of an estimator."""
+    sim.robot.elapsed_ms += ms
+
+
+def kept(*rules: Any) -> Any:
+    return sealed.policy(sealed.reader("auditor"), retention=rules)
+
+
+def test_what_is_to_be_kept_is_not_destroyed_before_whatever_was_destroyed_first(
+    path: Path,
+) -> None:
+    with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=DAY_MS))) as sim:
+        mission = ended(sim)
+        told = refused(sim, sealed.shred_order(sim, mission.mid, OBJECT, REGION))
+        assert (told.reason, "kept until" in told.message) == ("NOT_YET_VALID", True)
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, OBJECT))
+        finished(sim)  # the mission's token is gone with it
+        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + DAY_MS - 5_000)
+        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
+        later(sim, 5_000)
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+
+
+def test_records_of_no_mission_are_kept_from_when_other_keys_were_used(path: Path) -> None:
+    rules = kept(sealed.rule(PERSON, least_ms=10 * MINUTE_MS))
+    with sealed.sealing(path, rules) as sim:
+        sim.gate.ledger.note(lambda at: said("first", at))
+        assert refused(sim, sealed.shred_order(sim, "-", PERSON)).reason == "NOT_YET_VALID"
+    with sealed.sealing(path, start_ms=worlds.START_MS + MINUTE_MS) as sim:
+        sim.gate.ledger.note(lambda at: said("second", at))
+        later(sim, 10 * MINUTE_MS)
+        done = sim.gate.management.shred(sealed.shred_order(sim, "-", PERSON))
+        assert len(done.keys) == 1  # not the keys in use
+        finished(sim)
+    read = b"".join(row.sealed for row in sealed.opened(sealed.rows_of(path)))
+    assert (b"first" in read, b"second" in read) == (False, True)
+
+
+def test_retention_ends_by_itself_with_a_record_of_who(path: Path) -> None:
+    rules = (
+        kept(sealed.rule(REGION, most_ms=MINUTE_MS), sealed.rule)[:0]
+        if False
+        else kept(sealed.rule(OBJECT, most_ms=2 * DAY_MS), sealed.rule(REGION, most_ms=MINUTE_MS))
+    )
+    with sealed.sealing(path, rules) as sim:
+        mission = ended(sim)
+        assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
+        assert sim.gate.management.retire() == ()
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        (done,) = sim.gate.management.retire()
+        assert (done.mid, done.classes) == (mission.mid, (REGION,))
+        finished(sim)
+        assert sim.gate.management.retire() == ()  # once a minute
+        assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
+        later(sim, 2 * DAY_MS)
+        assert [one.classes for one in sim.gate.management.retire()] == [(OBJECT,)]
+        finished(sim)
+        assert sim.gate.ledger.peek(due_missions) == ()
+    rows = sealed.opened(sealed.rows_of(path))
+    assert [sealed.told(row).open["by"] for row in verbs(rows, "shred")] == ["retention"] * 2
+
+
+def test_keys_of_no_mission_are_changed_daily_so_that_they_have_an_end(path: Path) -> None:
+    with sealed.sealing(path, kept(sealed.rule(PERSON, most_ms=DAY_MS))) as sim:
+        sim.gate.ledger.note(lambda at: said("first", at))
+        for day in range(3):
+            later(sim, DAY_MS + 1_000)
+            found = sim.gate.management.retire()
+            assert [one.mid for one in found] == ([] if day < 1 else ["-"])
+            finished(sim)
+            sim.gate.ledger.note(lambda at, d=day: said(f"day {d}", at))
+    read = b"".join(row.sealed for row in sealed.opened(sealed.rows_of(path)))
+    assert [w in read for w in (b"first", b"day 0", b"day 1", b"day 2")] == [
+        False,
+        False,
+        True,
+        True,
+    ]
+
+
+def test_without_rules_nothing_ends_and_nothing_is_noted(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        ended(sim)
+        assert sim.gate.ledger.peek(due_missions) == ()
+        assert sim.gate.management.retire() == ()
+    with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=1))) as sim:
+        assert sim.gate.management.retire() == ()
+
+
+# a damaged store
+
+
+def damaged(sim: Simulation, value: bytes, mid: str) -> None:
+    sim.gate.ledger.run(lambda act: act.put(HELD, mid, value))
+
+
+def test_a_store_whose_keys_are_told_nowhere_is_corrupt(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        damaged(sim, b'{"newest":9999}', mission.mid)
+        with pytest.raises(StoreError) as error:
+            sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        assert error.value.reason == "STORE_CORRUPT"
+        damaged(sim, b'{"newest":0}', mission.mid)  # which tells no keys
+        assert (
+            refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "MISSION_UNKNOWN"
+        )
+    store = apsw.Connection(str(path))
+    store.execute("DROP TRIGGER audit_only_forgets")
+    store.execute("UPDATE audit SET record = x'00' WHERE seq = 2")
+    store.close()
+    with sealed.sealing(path) as sim:
+        damaged(sim, b'{"newest":2}', mission.mid)
+        with pytest.raises(StoreError) as error:
+            sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        assert error.value.where == "store.audit.2"

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys of each mission and start, told in the log to readers alone, and never used uncommitted.
+
+Source: docs/spec/sealed-fields.md#keys
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+import sealed
+import worlds
+from authguard_r.audit.boxes import BOX, SEALING, WRAP, DataClass
+from authguard_r.audit.record import Entry, Sealed, append, read_sealed
+from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.commands import Verb
+from authguard_r.core.encoding import encode_fast
+from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
+from authguard_r.core.ports import Turn
+from authguard_r.ledger import Act
+from authguard_r.sealing import KeyRing, Sealer, SealingPolicy, policy_of
+from authguard_r.sealing.kept import HELD, newest_keys
+from authguard_r.store.memory import MemoryStore
+from authguard_r.store.sqlite import open_store
+
+SCAN = worlds.navigate("dock", "pharmacy")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "robot.db"
+
+
+def tellings(rows: list[Row]) -> list[Row]:
+    return [row for row in rows if sealed.told(row).kind == SEALING]
+
+
+def note(mid: str = "m-1", **more: Any) -> Entry:
+    return Entry(
+        kind="stop", time_ms=1, decision="stop", open={}, mid=mid, sealed={"why": mid}, **more
+    )
+
+
+def test_a_reader_of_everything_reads_the_log_as_it_happened(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = sealed.active(sim)
+        report = worlds.propose(sim, SCAN)
+    rows = sealed.rows_of(path)
+    found = sealed.opened(rows)
+    decision = next(row for row in found if sealed.told(row).kind == "decision")
+    assert sealed.values(decision)["action"]["destination"] == "pharmacy"
+    assert sealed.told(decision).link.action == report.judged.action_digest
+    activation = next(row for row in found if sealed.told(row).link.decision == "activate")
+    assert sealed.told(activation).open["by"] == "operator-1"
+    said = b"".join(row.record + row.sealed for row in rows[1:])
+    for word in (b"pharmacy", b"operator-1", mission.issuer.encode(), b"speed_mm_s"):
+        assert word not in said
+
+
+@pytest.mark.parametrize("role", ["auditor", "pq-auditor"])
+def test_both_kinds_of_key_read(path: Path, role: str) -> None:
+    with sealed.sealing(path, sealed.policy(sealed.reader(role))) as sim:
+        sealed.active(sim)
+    assert b"operator-1" in b"".join(r.record for r in sealed.opened(sealed.rows_of(path), role))
+
+
+def test_each_mission_and_each_start_has_keys_of_its_own(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        first = sealed.active(sim)
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, first))
+        sealed.active(sim, mission="second")
+    with sealed.sealing(path) as sim:  # the store knows what the last gate sealed
+        worlds.propose(sim, SCAN)
+    rows = sealed.rows_of(path)
+    told = [(sealed.told(row).link.mid, sealed.told(row).open["before"]) for row in tellings(rows)]
+    assert [mid for mid, _ in told].count("second") == 2
+    assert next(before for mid, before in told if mid == "second") == -1
+    numbers = {row.seq for row in tellings(rows)}
+    assert all(before == -1 or before in numbers for _, before in told)
+    assert b"pharmacy" in b"".join(row.sealed for row in sealed.opened(rows))
+
+
+def test_a_gate_opens_what_it_sealed_since_its_start_and_nothing_before(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        sealed.active(sim)
+        worlds.propose(sim, SCAN)
+        last = sim.gate.ledger.peek(lambda turn: turn.rows(turn.head()[0] - 1, 1))[0]
+        assert BOX.encode() not in sim.gate.ledger.opened(last).sealed
+    with sealed.sealing(path) as sim:
+        assert BOX.encode() in sim.gate.ledger.opened(last).sealed
+
+
+def test_what_was_not_committed_was_told_to_nobody_and_seals_nothing(path: Path) -> None:
+    store = open_store(path)
+    sealer = Sealer(worlds.RID, sealed.policy())
+
+    def fails(turn: Turn) -> None:
+        sealer.append(turn, note(), salts=worlds.random_bytes)
+        raise ZeroDivisionError
+
+    genesis = Entry(kind="genesis", time_ms=1, decision="genesis", open={"robot": worlds.RID})
+    store.run(lambda turn: append(turn, genesis, salts=b""))
+    with pytest.raises(ZeroDivisionError):
+        store.run(fails)
+    store.run(lambda turn: sealer.append(turn, note(), salts=worlds.random_bytes))
+    store.close()
+    rows = sealed.rows_of(path)
+    assert [sealed.told(row).kind for row in rows] == ["genesis", SEALING, "stop"]
+    assert sealed.values(sealed.opened(rows)[2]) == {"why": "m-1"}
+
+
+def test_few_keys_are_in_memory_and_a_mission_that_comes_back_has_new_ones() -> None:
+    store, sealer = MemoryStore(), Sealer(worlds.RID, sealed.policy())
+    for mid in ("a", "b", "c", "d", "a", "e", "f", "b"):
+        store.run(lambda turn, m=mid: sealer.append(turn, note(m), salts=worlds.random_bytes))
+    rows = store.rows()
+    assert verify_rows(rows).whole
+    told = [sealed.told(row) for row in rows if sealed.told(row).kind == SEALING]
+    assert [record.link.mid for record in told] == ["a", "b", "c", "d", "e", "f", "b"]
+    assert told[-1].open["before"] == 2
+    assert store.read(lambda turn: newest_keys(turn, "b")) == len(rows) - 2
+    assert store.read(lambda turn: newest_keys(turn, "never")) is None
+
+
+def test_a_store_that_holds_nonsense_of_keys_is_corrupt() -> None:
+    store, sealer = MemoryStore(), Sealer(worlds.RID, sealed.policy())
+    store.run(lambda turn: turn.put(HELD, "m-1", b"[]"))
+    with pytest.raises(StoreError) as refused:
+        store.run(lambda turn: sealer.append(turn, note(), salts=worlds.random_bytes))
+    assert refused.value.where == "store.sealing"
+
+
+def test_a_box_of_this_start_that_was_changed_is_the_stores_fault(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        sealed.active(sim)
+        seq, record, beside, link = sim.gate.ledger.peek(lambda turn: turn.rows(2, 1))[0]
+        with pytest.raises(StoreError) as refused:
+            sim.gate.ledger.opened((seq, record, beside.replace(b'"text":"', b'"text":"A'), link))
+        assert refused.value.reason == "STORE_CORRUPT"
+
+
+# what is sealed
+
+
+def test_without_readers_nothing_is_sealed_and_a_store_is_as_ever(path: Path) -> None:
+    with sealed.sealing(path) as sim:
+        sealed.active(sim)
+    assert BOX.encode() not in b"".join(row.sealed for row in sealed.rows_of(path))
+
+
+def test_only_classes_that_somebody_may_read_are_sealed(path: Path) -> None:
+    only = sealed.policy(sealed.reader("porter", DataClass.REGION))
+    with sealed.sealing(path, only) as sim:
+        sealed.active(sim)
+        worlds.propose(sim, SCAN)
+    rows = sealed.rows_of(path)
+    said = b"".join(row.record + row.sealed for row in rows[1:])
+    assert (b"pharmacy" in said, b"operator-1" in said, b"speed_mm_s" in said) == (
+        False,
+        True,
+        True,
+    )
+    assert {sealed.told(row).open["classes"][0] for row in tellings(rows)} == {"region"}
+
+
+def test_a_gate_whose_configuration_says_so_seals_no_more(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()):
+        pass
+    with sealed.sealing(path, SealingPolicy()) as sim:
+        sealed.active(sim)
+    assert b"operator-1" in b"".join(row.record for row in sealed.rows_of(path))
+
+
+def test_a_new_store_without_a_policy_holds_none() -> None:
+    store = MemoryStore()
+    assert policy_of(store, None) == policy_of(store, SealingPolicy()) == SealingPolicy()
+    assert store.read(lambda turn: turn.get("sealing-policy", "newest")) is None
+    assert policy_of(store, sealed.policy()) == policy_of(store, None) == sealed.policy()
+    store.run(lambda turn: turn.put("sealing-policy", "newest", b"?"))
+    with pytest.raises(StoreError):
+        policy_of(store, None)
+
+
+def test_offline_acts_on_a_store_are_sealed_as_its_gate_did(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()):
+        pass
+    with sealed.sealing(path) as sim:  # as `mission activate --store` does
+        mission = sealed.active(sim)
+        sim.gate.ledger.run(lambda act: _recorded(act, mission.mid))
+    assert b"a word" not in b"".join(row.record + row.sealed for row in sealed.rows_of(path))
+
+
+def _recorded(act: Act, mid: str) -> int:
+    return act.record(note(mid, state="a word"))
+
+
+# somebody else's log
+
+
+@pytest.fixture
+def rows(path: Path) -> list[Row]:
+    with sealed.sealing(
+        path, sealed.policy(sealed.reader("auditor"), sealed.reader("other"))
+    ) as sim:
+        sealed.active(sim)
+        worlds.propose(sim, SCAN)
+    return sealed.rows_of(path)
+
+
+def changed(rows: list[Row], value: Any, name: str = "wrap.region") -> list[Row]:
+    """Return the log with something else in the place of the wrapped keys of a class."""
+    found = tellings(rows)[0]
+    items = read_sealed(found.sealed, where="")
+    items[name] = Sealed(salt=items["wrap.region"].salt, value=value)
+    row = replace(found, sealed=encode_fast(items))
+    return [row if one is found else one for one in rows]
+
+
+def test_a_key_for_which_nothing_was_wrapped_opens_nothing(rows: list[Row]) -> None:
+    ring = KeyRing(sealed.key_of("stranger"))
+    assert [ring.opened(row) for row in rows] == rows
+    assert ring.records == 0
+
+
+def test_wrapped_keys_of_one_reader_open_for_no_other(rows: list[Row]) -> None:
+    wraps = sealed.values(tellings(rows)[0])[WRAP + "region"]
+    mine, other = sealed.key_of("auditor").public.name, sealed.key_of("other").public.name
+    by = {wrap["reader"]: wrap for wrap in wraps}
+    swapped = [{**by[other], "reader": mine}]
+    with pytest.raises(AuthenticityError) as refused:
+        sealed.opened(changed(rows, swapped))
+    assert refused.value.where.endswith("wrap.region")
+    # nor those of another class
+    wraps = sealed.values(tellings(rows)[0])[WRAP + "object"]
+    with pytest.raises(AuthenticityError):
+        sealed.opened(changed(rows, wraps))
+
+
+@pytest.mark.parametrize(
+    ("value", "name"),
+    [("text", "wrap.region"), ([{"reader": "x"}], "wrap.region"), ([], "wrap.nonsense")],
+)
+def test_what_are_no_wrapped_keys_is_refused(rows: list[Row], value: Any, name: str) -> None:
+    with pytest.raises(MalformedError) as refused:
+        sealed.opened(changed(rows, value, name))
+    assert "expected wrapped keys" in refused.value.message
