@@ -32,12 +32,16 @@ PLANS = {
         append=Effort(blocks=11, calls=400, warm_up=200),
         verify=Effort(blocks=11, calls=1, warm_up=1),
         sizes=(5_000, 50_000),
+        together=Effort(blocks=7, calls=1, warm_up=1),
+        most=200_000,
     ),
     "quick": Plan(
         records=RECORDS,
         append=Effort(blocks=5, calls=100, warm_up=50),
         verify=Effort(blocks=5, calls=2, warm_up=1),
         sizes=(1_000, 10_000),
+        together=Effort(blocks=5, calls=1, warm_up=1),
+        most=100_000,
     ),
 }
 EFFORTS = {

@@ -52,7 +52,8 @@ def _verified(timings: dict[str, Timing], told: dict[str, Any]) -> list[Figure]:
         _ratio(
             timings,
             f"log_verify_{name}",
-            f"{size} records verified against a checkpoint / hashed and parsed, by `msgspec`",
+            f"{size} records verified against a checkpoint by one process / hashed and parsed, by "
+            "`msgspec`",
             (f"log.verify.{name}", f"log.bare.{name}"),
             target=2.0,
         )
@@ -60,6 +61,14 @@ def _verified(timings: dict[str, Timing], told: dict[str, Any]) -> list[Figure]:
     ]
     return [
         *rates,
+        _ratio(
+            timings,
+            "log_verify_together",
+            f"{told['together']} records verified from the disk as `audit verify` does it, by "
+            f"{told['jobs']} process{'es' if told['jobs'] > 1 else ''} / hashed and parsed by one",
+            ("log.verify.together", "log.bare.disk"),
+            target=2.0,
+        ),
         _ratio(
             timings,
             "log_verify_linear",

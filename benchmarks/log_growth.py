@@ -4,7 +4,7 @@
 Records are those of a decision and its outcome in turn, through the ledger of a real gate into the
 store, many in a commit, with the notary looking after each commit as the gate's loop has it look.
 Only what is timed is one record in one commit. Everything runs in a process of its own, so that
-memory is the log's and nobody else's.
+memory is the log's and nobody else's; where several verify together, that of the one that reads.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import msgspec
 from authguard_r.anchoring.notary import Notary
 from authguard_r.assembly import folder_signer, gate_name
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
+from authguard_r.audit.pieces import usable_jobs, verify_in_pieces
 from authguard_r.audit.record import Entry
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.audit.verify import Anchor, Row, of_checkpoint, verify_rows
@@ -55,12 +56,16 @@ class Plan(NamedTuple):
         append: appends to the short log, the long one, and beside them.
         verify: verifications of each size.
         sizes: records that are verified out of memory, the short ones first.
+        together: verifications from the disk, by several processes.
+        most: records that these read at most.
     """
 
     records: int
     append: Effort
     verify: Effort
     sizes: tuple[int, int]
+    together: Effort
+    most: int
 
 
 class Writer:
@@ -149,10 +154,11 @@ def bare(rows: Iterable[Row], parse: Callable[[bytes], object]) -> None:
         parse(row.sealed)
 
 
-def anchor_of(rows: list[Row]) -> Anchor:
+def anchor_of(rows: Iterable[Row]) -> Anchor:
     """Return what an authentic checkpoint of exactly these rows says."""
-    root = Frontier().grown(leaf_hash(row.link) for row in rows).root()
-    made = Checkpoint(origin=origin_of(worlds.RID), size=len(rows), root=root, chain=rows[-1].link)
+    links = [row.link for row in rows]
+    root = Frontier().grown(map(leaf_hash, links)).root()
+    made = Checkpoint(origin=origin_of(worlds.RID), size=len(links), root=root, chain=links[-1])
     return of_checkpoint(made)
 
 
@@ -173,7 +179,14 @@ def _grown(folder: Path, plan: Plan) -> Grown:
     short.close()
     anchor = long.close()
     whole = _whole(path, anchor)
-    most = max(*filled["rss_bytes"], *whole["rss_verify_bytes"], _resident())
+    together = _together(path, plan)
+    resident = (
+        *filled["rss_bytes"],
+        *whole["rss_verify_bytes"],
+        *together.told["rss_together_bytes"],
+    )
+    most = max(*resident, _resident())
+    timings |= together.timings
     timings |= _verified(path, plan)
     told = {
         "records": plan.records,
@@ -184,6 +197,7 @@ def _grown(folder: Path, plan: Plan) -> Grown:
         "rss_growth_bytes": most - filled["rss_start_bytes"],
         "file_bytes": path.stat().st_size,
         **whole,
+        **together.told,
     }
     return Grown(timings, told)
 
@@ -227,6 +241,39 @@ def _whole(path: Path, anchor: Anchor) -> dict[str, Any]:
         "later_over_earlier": median(spent[PARTS // 2 :]) / median(spent[: PARTS // 2]),
         "rss_verify_bytes": resident,
     }
+
+
+def _together(path: Path, plan: Plan) -> Grown:
+    """Time verifying from the disk as the command does it, beside the bare loop of one process."""
+    count = min(plan.most, plan.records)
+    jobs = usable_jobs()
+    anchor = anchor_of(_first(path, count))
+    resident: list[int] = []
+
+    def rows() -> Iterator[Row]:
+        for row in _first(path, count):
+            if row.seq % (count // LOOKS) == 0:
+                resident.append(_resident())
+            yield row
+
+    def verified() -> None:
+        found = verify_in_pieces(rows(), jobs=jobs, anchors=(anchor,))
+        if not found.whole or found.anchored_size != count:
+            raise RuntimeError("a log that nobody touched does not verify")
+
+    subjects = [
+        Subject("log.verify.together", _each(count, verified)),
+        Subject(
+            "log.bare.disk", _each(count, lambda: bare(_first(path, count), msgspec.json.decode))
+        ),
+    ]
+    timings = interleave(subjects, plan.together)
+    told = {"jobs": jobs, "together": count, "rss_together_bytes": resident}
+    return Grown(timings, told)
+
+
+def _first(path: Path, count: int) -> Iterator[Row]:
+    return islice(read_rows(path), count)
 
 
 def _verified(path: Path, plan: Plan) -> dict[str, Timing]:

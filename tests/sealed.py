@@ -21,7 +21,8 @@ from authguard_r.core.identifiers import MissionId
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
 from authguard_r.keys.readers import ReaderKey, new_reader
-from authguard_r.sealing import KeyRing, Reader, Retention, SealingPolicy, policy_of
+from authguard_r.sealing import KeyRing, Reader, Retention, SealingPolicy
+from authguard_r.sealing.kept import policy_of
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.times import committed_ms
 

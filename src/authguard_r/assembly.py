@@ -53,7 +53,8 @@ from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import STAND_WITHIN_MS, Watch
 from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, safety_digest
-from authguard_r.sealing import Sealer, SealingPolicy, policy_of
+from authguard_r.sealing import SealingPolicy
+from authguard_r.sealing.sealer import sealer_of
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
@@ -153,7 +154,7 @@ def assemble(
         at = boot_ms(clock.wall_ms(), trust, since_ms, store.run(last_commit_ms))
         rid, profile = trust.gate_identity(chain, Now(at, 0))
         facts = replace(facts_of(site, rid=rid, profile=profile), risk=risk)
-        kept = policy_of(store, sealing)
+        sealer, retention = sealer_of(store, rid, sealing)
         ledger = Ledger(
             store,
             clock,
@@ -164,7 +165,7 @@ def assemble(
             refusals=refusals,
             marks=marks,
             since_ms=since_ms,
-            sealer=Sealer(rid, kept) if kept.readers else None,
+            sealer=sealer,
         )
         _require_same_log(ledger, trust, marks or {})
         keeps = Notary(ledger, robot=rid, signer=signer, policy=notary)
@@ -177,7 +178,7 @@ def assemble(
         ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
     )
     enforcer = Enforcer(ledger, intake, facts=facts, safety=safety, watch=watch, clock=clock)
-    management = Management(ledger, intake, verifier=trust, facts=facts, retention=kept.retention)
+    management = Management(ledger, intake, verifier=trust, facts=facts, retention=retention)
     anchor.begin()
     enforcer.before_first(management.recover)
     return Gate(

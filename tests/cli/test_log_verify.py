@@ -6,26 +6,33 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import shutil
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import worlds
+from authguard_r.audit import pieces
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.verify import Row
-from authguard_r.cli import call
+from authguard_r.cli import call, log_verify
 from authguard_r.cli.exported import MAX_LINE, note_line, row_line
+from authguard_r.cli.gateway import Beside
 from authguard_r.cli.log_export import COLUMNS, cell
+from authguard_r.cli.logs import Log
 from authguard_r.core.encoding import encode
 from authguard_r.core.errors import MalformedError
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.notes import cosign, log_key, sign_text, witness_key
 from authguard_r.keys.signer import read_signer
 from authguard_r.store.sqlite import open_store
-from logs import ROBOT, checkpoint_of, log_of
+from logs import ROBOT, checkpoint_of, edited, log_of
 
 SIZE = 9
 ROWS = log_of(SIZE)
@@ -220,6 +227,90 @@ def test_an_export_that_is_spelled_in_another_way_is_read(desk: Desk) -> None:
     lines = [json.dumps(json.loads(row_line(row))) for row in ROWS]
     Path("loose.jsonl").write_text("\n".join(lines))
     assert desk.json("audit", "verify", "loose.jsonl")[1]["whole"]
+
+
+# by several processes
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Processes help from the first record on; returns how many were wanted each time."""
+    wanted: list[int] = []
+
+    def verify(rows: Any, *, jobs: int, anchors: Any) -> Any:
+        wanted.append(jobs)
+        return pieces.verify_in_pieces(rows, jobs=jobs, anchors=anchors, alone=0)
+
+    monkeypatch.setattr(log_verify, "verify_in_pieces", verify)
+    monkeypatch.setattr(pieces, "_ROWS", 16)
+    monkeypatch.setattr(pieces, "_OWN_ROWS", 4)
+    return wanted
+
+
+def test_any_number_of_processes_tells_the_same_of_a_store_and_an_export(
+    desk: Desk, soon: list[int]
+) -> None:
+    rows = log_of(200)
+    bad = [*rows[:170], edited(rows[170], open={}), *rows[171:]]
+    note = desk.signed(rows)
+    for number, given in enumerate((rows, bad, rows[:90])):
+        for name in (desk.export(given, note), desk.store(given, note, f"{number}.db")):
+            told = [
+                desk.json("audit", "verify", name, "--key", desk.key, "--jobs", jobs)
+                for jobs in "123"
+            ]
+            assert told[0] == told[1] == told[2]
+            assert (told[0][0], told[0][1]["whole"]) == ((0, True) if given is rows else (1, False))
+    assert set(soon) == {1, 2, 3}
+    (desk.folder / "cut.jsonl").write_bytes((desk.folder / "log.jsonl").read_bytes()[:-900])
+    told = [desk.json("audit", "verify", "cut.jsonl", "--jobs", jobs) for jobs in "123"]
+    assert told[0] == told[1] == told[2]
+    assert told[0][0] == 4
+
+
+def test_without_being_asked_there_are_as_many_as_processors(
+    desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_verify, "usable_jobs", lambda: 2)
+    assert desk("audit", "verify", desk.export(ROWS, None))[0] == 0
+    assert soon == [2]
+    for jobs in ("0", "-1", "65", "many"):
+        assert desk.json("audit", "verify", "log.jsonl", "--jobs", jobs)[0] == 2
+    assert soon == [2]
+
+
+def test_beside_a_gate_that_tells_its_log_no_process_is_started(
+    desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Beside(pid=7, robot=ROBOT, socket="gate.sock")
+
+    @contextmanager
+    def told(_: Path) -> Iterator[Log]:
+        yield Log(iter(ROWS), gate)
+
+    monkeypatch.setattr(log_verify, "reading", told)
+    assert desk("audit", "verify", "robot.db", "--jobs", "4")[0] == 0
+    assert soon == [1]
+
+
+def test_a_process_that_is_killed_is_said_and_the_log_is_not_called_whole(
+    desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = pieces._Helper
+
+    class Killed(real):  # type: ignore[misc, valid-type]
+        def __init__(self) -> None:
+            super().__init__()
+            os.kill(self.process.pid, signal.SIGKILL)
+            os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOWAIT)
+
+    monkeypatch.setattr(pieces, "_Helper", Killed)
+    name = desk.export(ROWS, None)
+    code, text = desk("audit", "verify", name, "--jobs", "2")
+    assert code == 5
+    assert text.startswith("INTERNAL_FAULT: not verified: a process that helped ended (code -9)")
+    code, told = desk.json("audit", "verify", name, "--jobs", "2")
+    assert (code, set(told)) == (5, {"error"})
 
 
 # export

@@ -8,8 +8,11 @@ against the log. Spec page: docs/spec/rollback.md#checkpoints
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from msgspec import Struct
 
+from authguard_r.anchoring import growth
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
 from authguard_r.audit.note import Note, read_note
 from authguard_r.audit.tree import HASH_BYTES, Frontier, consistency_proof, leaf_hash, root_of
@@ -79,6 +82,21 @@ class StoredNodes:
         else:
             nodes = leaves(self._turn, first, count)
         return Frontier().grown(nodes).root()
+
+
+def block_root(links: Iterable[bytes]) -> bytes:
+    """Return the root of the tree over a few links alone."""
+    return Frontier().grown(map(leaf_hash, links)).root()
+
+
+def size_of(turn: Turn, key: str) -> int:
+    """Return how many records a held note covers, 0 when there is none.
+
+    Raises:
+        MalformedError: what is held is no checkpoint.
+    """
+    note = _note(turn, key)
+    return 0 if note is None else read_checkpoint(note.text, where=CHECKPOINT).size
 
 
 def leaves(turn: Turn, first: int, count: int) -> list[bytes]:
@@ -217,6 +235,7 @@ class Checkpoints:
 
     def _grow(self, turn: Turn, signer: Signer) -> Note | None:
         """Take a page into the tree; return the note when that was the last."""
+        growth.count(turn)
         before, (size, head) = _frontier(turn), turn.head()
         frontier = _grown(turn, before, min(size, before.size + PAGE))
         if frontier.size > before.size:

@@ -4,6 +4,8 @@
 A chain by itself shows that nothing inside was changed; only a digest that was signed and kept
 elsewhere shows that nothing is missing at the end, and that it is the log that was written. The
 answer always says which of the two was looked at. Memory is that of one row and of log n hashes.
+What a record needs of those before it is their number and the last link: so a piece can be verified
+before what lies in front of it, and is joined when it turns out to follow from that.
 
 Source: theorem "Tamper evidence of the anchored log".
 Spec page: docs/spec/audit-record.md#verification
@@ -112,6 +114,25 @@ def of_terminal(terminal: Terminal) -> Anchor:
     return Anchor(by="signed-terminal", size=terminal.size, head=head)
 
 
+class Piece(Struct, frozen=True, kw_only=True):
+    """Rows of which each follows from the one before, and what the rest of the log needs of them.
+
+    Args:
+        first: the first one's number.
+        prev: the link that the first one says is before it, base64url.
+        size: number of records of a log that ends with the last one.
+        link: the last one's.
+        subtrees: level and root of each complete subtree that their leaves fall into, in order;
+            empty where no root is asked for.
+    """
+
+    first: int
+    prev: str
+    size: int
+    link: bytes
+    subtrees: tuple[tuple[int, bytes], ...] = ()
+
+
 def verify_rows(
     rows: Iterable[Row], *, terminal: Terminal | None = None, anchors: Sequence[Anchor] = ()
 ) -> Verification:
@@ -123,31 +144,96 @@ def verify_rows(
         anchors: what authentic checkpoints say of it; of two that say as much the later one is
             told of.
     """
-    known = [*anchors, *(() if terminal is None else (of_terminal(terminal),))]
-    against = _Against(sorted(known, key=lambda anchor: (anchor.size, anchor.by == "witnessed")))
-    chain = _Chain()
-    fault = against.fault(GENESIS, 0)
-    for row in () if fault else rows:
-        fault = chain.fault(row)
-        if fault:
-            return _broken(chain, fault, f"record {chain.size}")
-        if against.next is not None:
-            fault = against.grown(row.link, chain.size)
-            if fault:
-                break
-    if fault:
-        return _broken(chain, fault, against.since(chain.size))
-    if against.next is not None:
-        fault = f"expected at least the {against.next.size} signed records: the log is cut off"
-        return _broken(chain, fault, f"record {chain.size}")
-    return Verification(
-        whole=True,
+    return Verifier(terminal=terminal, anchors=anchors).finish(rows)
+
+
+def verify_piece(rows: Sequence[Row], first: int, *, with_tree: bool) -> Piece | None:
+    """Return a piece of a log, verified apart from what lies before it.
+
+    None when anything is wrong with it: what that is and where, says `Verifier.finish` of the same
+    rows. A piece is no part of a log until it was joined.
+
+    Args:
+        rows: at least one.
+        first: the number that the first one has to have.
+        with_tree: whether a root is asked for.
+    """
+    try:
+        prev = decode(rows[0].record, _Told).link.prev
+    except MalformedError:
+        return None
+    chain = _Chain(first, prev)
+    if any(chain.fault(row) for row in rows):
+        return None
+    leaves = [leaf_hash(row.link) for row in rows] if with_tree else []
+    return Piece(
+        first=first,
+        prev=prev,
         size=chain.size,
-        head=chain.head,
-        anchored=against.fitting[-1][0] if against.fitting else "unanchored",
-        anchored_size=against.fitting[-1][1] if against.fitting else 0,
-        anchors=tuple(against.fitting),
+        link=rows[-1].link,
+        subtrees=_subtrees(leaves, first),
     )
+
+
+class Verifier:
+    """A log as far as it was verified, and what is known of it from outside.
+
+    Args:
+        terminal: as in `verify_rows`.
+        anchors: as in `verify_rows`.
+    """
+
+    def __init__(self, *, terminal: Terminal | None = None, anchors: Sequence[Anchor] = ()) -> None:
+        known = [*anchors, *(() if terminal is None else (of_terminal(terminal),))]
+        ordered = sorted(known, key=lambda anchor: (anchor.size, anchor.by == "witnessed"))
+        #: The sizes at which something is known: no piece goes beyond the next of them.
+        self.cuts = tuple(dict.fromkeys(anchor.size for anchor in ordered))
+        self._against = _Against(ordered)
+        self._chain = _Chain()
+        self._misfit = self._against.fault(GENESIS, 0)
+
+    def join(self, piece: Piece) -> bool:
+        """Take in the next piece; False when the log is not whole with it, or may not be.
+
+        Then `finish`, given its rows and all after them, says what is wrong.
+        """
+        chain, known = self._chain, self._against.next
+        follows = (piece.first, piece.prev) == (chain.size, chain.head)
+        if self._misfit or not follows or (known is not None and piece.size > known.size):
+            return False
+        chain.size, chain.head = piece.size, b64(piece.link)
+        self._misfit = self._against.joined(piece)
+        return not self._misfit
+
+    def finish(self, rows: Iterable[Row]) -> Verification:
+        """Return what was found, with the rest of the log.
+
+        Args:
+            rows: in order, all that were not taken in yet.
+        """
+        chain, against = self._chain, self._against
+        fault = self._misfit
+        for row in () if fault else rows:
+            fault = chain.fault(row)
+            if fault:
+                return _broken(chain, fault, f"record {chain.size}")
+            if against.next is not None:
+                fault = against.grown(row.link, chain.size)
+                if fault:
+                    break
+        if fault:
+            return _broken(chain, fault, against.since(chain.size))
+        if against.next is not None:
+            fault = f"expected at least the {against.next.size} signed records: the log is cut off"
+            return _broken(chain, fault, f"record {chain.size}")
+        return Verification(
+            whole=True,
+            size=chain.size,
+            head=chain.head,
+            anchored=against.fitting[-1][0] if against.fitting else "unanchored",
+            anchored_size=against.fitting[-1][1] if against.fitting else 0,
+            anchors=tuple(against.fitting),
+        )
 
 
 class _Against:
@@ -176,6 +262,14 @@ class _Against:
             if len(self._links) >= _AT_ONCE:
                 self._grow()
         return self.fault(head, size) if self._left[-1].size == size else ""
+
+    def joined(self, piece: Piece) -> str:
+        """Take in the links of a piece; return what does not fit at its end."""
+        if self._left and self._needs_tree:
+            self._grow()
+            for level, root in piece.subtrees:
+                self._frontier = _with_subtree(self._frontier, level, root)
+        return self.fault(piece.link, piece.size)
 
     def fault(self, head: bytes, size: int) -> str:
         """Return what does not fit at this size; what fits is kept as fitting."""
@@ -243,11 +337,15 @@ class _Chain:
     """The chain as far as it was read: where it ends, and whether the next row follows.
 
     Everything that is hashed is a part of canonical bytes, so nothing is encoded twice.
+
+    Args:
+        size: number of records before the next row.
+        head: the last of their links, base64url.
     """
 
-    def __init__(self) -> None:
-        self.size = 0
-        self.head = b64(GENESIS)
+    def __init__(self, size: int = 0, head: str = b64(GENESIS)) -> None:
+        self.size = size
+        self.head = head
         self._named: dict[tuple[str, ...], _Named] = {}
 
     def fault(self, row: Row) -> str:
@@ -308,6 +406,31 @@ class _Chain:
         if not named.canonical or named.around % tuple(tails) != sealed:
             raise MalformedError("the bytes are not the canonical encoding of what they say")
         return named, tails
+
+
+def _subtrees(leaves: Sequence[bytes], first: int) -> tuple[tuple[int, bytes], ...]:
+    """Return level and root of the complete subtrees that leaves from number `first` on fall into.
+
+    Each is as large as its place and what is left allow: so each place is a multiple of its size.
+    """
+    found: list[tuple[int, bytes]] = []
+    at = 0
+    while at < len(leaves):
+        level = (len(leaves) - at).bit_length() - 1
+        if place := first + at:
+            level = min(level, (place & -place).bit_length() - 1)
+        found.append((level, Frontier().grown(leaves[at : at + (1 << level)]).root()))
+        at += 1 << level
+    return tuple(found)
+
+
+def _with_subtree(frontier: Frontier, level: int, root: bytes) -> Frontier:
+    """Return the frontier after a subtree of `1 << level` leaves, of which its size is a multiple.
+
+    Above that level the subtrees are leaves of a tree themselves.
+    """
+    above = Frontier(size=frontier.size >> level, peaks=frontier.peaks).grown((root,))
+    return Frontier(size=above.size << level, peaks=above.peaks)
 
 
 def _spelled(digests: list[bytes]) -> list[str]:

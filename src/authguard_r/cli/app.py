@@ -19,6 +19,7 @@ from authguard_r.cli import (
     frost,
     gate,
     gate_config,
+    growth,
     init,
     instances,
     key_answers,
@@ -36,11 +37,14 @@ from authguard_r.cli import (
     normalize,
     orders,
     prompts,
+    readers,
     recover,
     replay,
     risk_policy,
     robot,
     run,
+    segments,
+    shred,
     site,
     stop_lane,
     templates,
@@ -100,8 +104,12 @@ audit.app.command("verify")(log_verify.verify_command)
 audit.app.command("export")(log_export.export_command)
 audit.app.command("key")(log_keys.key_command)
 audit.app.command("prompts")(prompts.prompts_command)
+audit.app.command("growth")(growth.growth_command)
+audit.app.command("segments")(segments.segments_command)
+audit.app.command("reader")(readers.reader_command)
 audit.app.command("show")(log_show.show_command)
 audit.app.command("replay")(replay.replay_command)
+audit.app.command("shred")(shred.shred_command)
 audit.app.command("explain")(log_explain.explain_command)
 app.add_typer(audit.app, name="audit")
 app.add_typer(frost.app, name="frost")

@@ -20,6 +20,14 @@ from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import folder_signer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.out import emit
+from authguard_r.cli.readers_form import (
+    RetentionForm,
+    reader_named,
+    readers_of,
+    retention_of,
+    sealing_card,
+    written_readers,
+)
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.compile.draft import Quantity
@@ -37,11 +45,13 @@ from authguard_r.gate.config import (
     Peer,
     default_config,
     open_gate_config,
+    require_segments,
     require_witnesses,
 )
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.sealing import Reader, require_readers, require_retention
 from authguard_r.shapes import Disclosure
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.templates import claimed
@@ -49,7 +59,14 @@ from authguard_r.wire.messages import ClientRole, Mode
 
 app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
 _SIGNER = "site-authority-1"
-_PLAIN = ("connections", "refusals", "disclosure", "checkpoint_records", "quorum")
+_PLAIN = (
+    "connections",
+    "refusals",
+    "disclosure",
+    "checkpoint_records",
+    "quorum",
+    "segment_records",
+)
 #: The bounds as people write them: name, the signed field, its unit.
 _BOUNDS = (
     ("planner_silence", "planner_silence_ms", "ms"),
@@ -86,6 +103,9 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         witnesses: who cosign the checkpoints.
         quorum: how many of them have to.
         witness_silence: as the others.
+        segment_records: records in the store from which on the oldest go into a segment.
+        readers: who may read which sealed fields of the log; what nobody may lies open.
+        retention: how long sealed fields are kept.
     """
 
     robot: RobotId
@@ -105,6 +125,9 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     witnesses: tuple[WitnessPlace, ...] = ()
     quorum: int | None = None
     witness_silence: Quantity | None = None
+    segment_records: int | None = None
+    readers: tuple[Reader, ...] = ()
+    retention: tuple[RetentionForm, ...] = ()
 
 
 @app.command("make")
@@ -115,6 +138,12 @@ def make(
         list[str] | None, typer.Option("--peer", help="USER:role,role; may be repeated.")
     ] = None,
     mode: Annotated[Mode, typer.Option("--mode", help="`shadow` releases nothing.")] = Mode.ENFORCE,
+    reader: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--reader", help="ROLE:class,class:KEY, who reads sealed fields; may be repeated."
+        ),
+    ] = None,
     demo: Annotated[
         bool, typer.Option("--demo", help="You are everybody; signed at once. For trying out.")
     ] = False,
@@ -124,7 +153,12 @@ def make(
     """Write a configuration to look through and sign; with --demo, a signed one."""
     if demo == bool(peer):
         raise typer.BadParameter("name each user, or say --demo", param_hint="--peer")
-    form = Form(robot=_robot(robot), peers=_everybody() if demo else _peers(peer or []), mode=mode)
+    form = Form(
+        robot=_robot(robot),
+        peers=_everybody() if demo else _peers(peer or []),
+        mode=mode,
+        readers=tuple(map(reader_named, reader or [])),
+    )
     config = read_form(form, where="--peer")
     note = []
     if demo:
@@ -224,8 +258,16 @@ def read_form(form: Form, *, where: str) -> GateConfig:
         if (value := getattr(form, name)) is not None
     }
     plain |= {name: value for name, value in given.items() if value is not None}
-    config = convert({**plain, "witnesses": to_builtins(form.witnesses)}, GateConfig, where=where)
+    given = {
+        "witnesses": form.witnesses,
+        "readers": readers_of(form.readers),
+        "retention": retention_of(form.retention, where=f"{where}:retention"),
+    }
+    config = convert({**plain, **to_builtins(given)}, GateConfig, where=where)
     require_witnesses(config, where=where)
+    require_segments(config, where=where)
+    require_readers(config.readers, where=f"{where}:readers")
+    require_retention(config.retention, config.readers, where=f"{where}:retention")
     return config
 
 
@@ -257,6 +299,8 @@ def written(config: GateConfig, form: Form) -> str:
         + "".join(f"{name}: {getattr(config, name)}\n" for name in _PLAIN)
         + bounds
         + "witnesses: []\n"
+        + written_readers(config)
+        + "retention: []\n"
     )
 
 
@@ -275,6 +319,7 @@ def card(config: GateConfig, *, demo: bool = False) -> list[str]:
     bounds = (*_PLAIN, *(field for _, field, _ in _BOUNDS))
     lines += [f"  {name} {getattr(config, name)}" for name in bounds]
     lines += [f"  witness {place.key} at {place.url}" for place in config.witnesses]
+    lines += sealing_card(config)
     return [*lines, *(f"{a.level.upper()} {a.message} -> {a.mend}" for a in advice)]
 
 

@@ -15,7 +15,9 @@ from authguard_r.audit.verify import Row
 from authguard_r.cli.exported import exported_rows
 from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
 from authguard_r.cli.logs import open_log
+from authguard_r.cli.opening import ReaderOption, opening_of
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.onboarding.evidence import Evidence, Unused, gather
@@ -46,13 +48,16 @@ def learn_command(
     trust: Annotated[
         Path | None, typer.Option("--trust", help="The trust folder that the site is held to.")
     ] = None,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Propose a binding and a mission from a shadow run; whether it is signed, a person says."""
+    opening = opening_of(reader, passphrase_file)
     model = load_site(site, trust)
     bound = None if binding is None else read_binding(binding, model)
     with _rows(log) as rows:
-        evidence = gather(rows, model)
+        evidence = gather(rows, model, opened=opening.opened)
     proposals = propose(evidence, model, bound)
     _write(out, proposals.files)
     emit(_payload(evidence, proposals, out), _lines(evidence, proposals, out), as_json=as_json)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,7 +22,9 @@ from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_claims import claimed_mission
 from authguard_r.cli.log_reading import reading
+from authguard_r.cli.opening import ReaderOption, opening_of
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedError
 from authguard_r.core.mission import Mission
@@ -41,11 +44,15 @@ def explain_command(
     store: StoreArgument,
     seq: Annotated[int, typer.Argument(help="The record's number.", min=0)],
     draft: DraftOption = None,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say what a record says, who asked, why, and what signed change would have allowed it."""
-    with reading(store) as log:
-        told = explained(log.rows, seq, how=f"authguard audit explain {store} {seq} --draft FILE")
+    how = f"authguard audit explain {store} {seq} --draft FILE"
+    opening = opening_of(reader, passphrase_file)
+    with reading(store, opening) as log:
+        told = explained(log.rows, seq, how=how, has=opening.has)
     lines = [str(line) for line in told["text"]]
     if draft is not None:
         lines.append(write_change(draft, told))
@@ -53,13 +60,20 @@ def explain_command(
     return 0
 
 
-def explained(rows: Iterable[Row], seq: int | None, *, how: str | None = None) -> dict[str, Any]:
+def explained(
+    rows: Iterable[Row],
+    seq: int | None,
+    *,
+    how: str | None = None,
+    has: AbstractSet[str] = frozenset(),
+) -> dict[str, Any]:
     """Return the explanation of a record, read in one pass over the rows before it.
 
     Args:
         rows: the log, in order; nothing is verified here (`audit verify` does).
         seq: the record; None takes the last refused proposal.
         how: the command that writes the smallest change; None: a running gate's.
+        has: the classes that were opened, once the rows were read.
 
     Raises:
         RefusedError: there is no such record.
@@ -84,7 +98,7 @@ def explained(rows: Iterable[Row], seq: int | None, *, how: str | None = None) -
     row, mission = found
     where = f"record {row.seq}"
     record, sealed = read_record(row.record, where=where), read_sealed(row.sealed, where=where)
-    told = explanation(row.seq, record, sealed, mission=mission, how=how)
+    told = explanation(row.seq, record, sealed, mission=mission, how=how, has=has)
     if record.kind == "outcome" and _ticket(row) in begun:
         told["text"].append(f"  it is how record {begun[_ticket(row)]} ended")
     return told

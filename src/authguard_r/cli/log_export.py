@@ -17,6 +17,7 @@ from typing import Annotated, Any
 
 import typer
 
+from authguard_r.audit.boxes import BOX, act_of
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
@@ -24,7 +25,9 @@ from authguard_r.cli.exported import note_line, row_line
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import Log
+from authguard_r.cli.opening import Opening, ReaderOption, opening_of
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import to_timestamp
@@ -35,6 +38,7 @@ _FORMULA = (*"=+-@|%\t\r\n", *"\uff1d\uff0b\uff0d\uff20")
 COLUMNS = (
     *("seq", "time", "kind", "decision", "mission", "version", "who", "reasons", "grant"),
     *("action", "object", "source", "destination", "ticket", "open", "sealed", "link"),
+    "closed",
 )
 #: What a cell may be named in a record's open part: the first that is there.
 _WHO = ("client", "by", "caller", "planner")
@@ -56,6 +60,8 @@ def export_command(
     out: Annotated[
         Path | None, typer.Option("--out", help="A new file (default: standard output).")
     ] = None,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Write the log as JSON Lines, its newest checkpoint last, or as CSV.
@@ -65,15 +71,19 @@ def export_command(
     """
     if out is None and as_json:
         raise typer.BadParameter("expected --out beside --json", param_hint="--out")
-    with reading(store) as log:
-        count = _write(log, form, out)
+    if reader is not None and form is Format.JSONL:
+        text = "JSON Lines are written as they are stored, and read with the key: --format csv"
+        raise typer.BadParameter(text, param_hint="--reader")
+    opening = opening_of(reader, passphrase_file)
+    with reading(store, opening if form is Format.CSV else None) as log:
+        count = _write(log, form, out, opening)
     if out is not None:
         emit({"file": str(out), "lines": count}, [f"{out}: {count} lines"], as_json=as_json)
     return 0
 
 
-def _write(log: Log, form: Format, out: Path | None) -> int:
-    lines = _json_lines(log) if form is Format.JSONL else _csv_lines(log.rows)
+def _write(log: Log, form: Format, out: Path | None, opening: Opening) -> int:
+    lines = _json_lines(log) if form is Format.JSONL else _csv_lines(log.rows, opening)
     if out is None:
         return _put(lines, sys.stdout.buffer)
     if out.exists() or out.is_symlink():
@@ -104,10 +114,10 @@ def _json_lines(log: Log) -> Iterator[bytes]:
         yield note_line(log.notes[0])
 
 
-def _csv_lines(rows: Iterator[Row]) -> Iterator[bytes]:
+def _csv_lines(rows: Iterator[Row], opening: Opening) -> Iterator[bytes]:
     yield _line(COLUMNS)
     for row in rows:
-        cells = _cells(row)
+        cells = _cells(row, opening)
         yield _line([cell(cells.get(name)) for name in COLUMNS])
 
 
@@ -126,12 +136,11 @@ def cell(value: Any) -> str:
     return f"'{shown}" if text.startswith(_FORMULA) and text != "-" else shown
 
 
-def _cells(row: Row) -> dict[str, Any]:
+def _cells(row: Row, opening: Opening) -> dict[str, Any]:
     where = f"record {row.seq}"
     record = read_record(row.record, where=where)
     values = {name: item.value for name, item in read_sealed(row.sealed, where=where).items()}
     opened, link = record.open, record.link
-    action = values.get("action")
     reasons = opened.get("reasons")
     return {
         "seq": row.seq,
@@ -143,11 +152,12 @@ def _cells(row: Row) -> dict[str, Any]:
         "who": next((opened[name] for name in _WHO if name in opened), None),
         "reasons": " ".join(map(str, reasons)) if isinstance(reasons, list) else reasons,
         "grant": opened.get("grant"),
-        **_moved(action if isinstance(action, dict) else {}),
+        **_moved(act_of(values) or {}),
         "ticket": opened.get("ticket"),
         "open": opened,
-        "sealed": values,
+        "sealed": {name: one for name, one in values.items() if not name.startswith(BOX)},
         "link": b64(row.link),
+        "closed": opening.closed(record, values).words(),
     }
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A log for a stranger: from a store, a running gate or an export; unreadable is said as such."""
+"""A log for a stranger: from a store, a running gate or an export; unreadable is said as such.
+
+What of it is sealed is opened here and nowhere else, as far as a reader's key goes.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from authguard_r.cli.logs import Log, open_log
+from authguard_r.cli.opening import Opening
 from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.reasons import Reason
 
 
 @contextmanager
-def reading(store: Path) -> Iterator[Log]:
+def reading(store: Path, opening: Opening | None = None) -> Iterator[Log]:
     """Yield a log to read once.
+
+    Args:
+        store: its file.
+        opening: what opens its rows; None: they are those that are stored, for who verifies them.
 
     Raises:
         MalformedError: no such file, or nothing in it that can be read.
@@ -22,7 +32,7 @@ def reading(store: Path) -> Iterator[Log]:
     """
     try:
         with open_log(store) as log:
-            yield log
+            yield log if opening is None else replace(log, rows=opening.rows(log.rows))
     except StoreError as error:
         if error.reason in {Reason.STORE_CORRUPT, Reason.STORE_NEWER} or not store.is_file():
             raise MalformedError(error.message, where=str(store), reason=error.reason) from error

@@ -11,12 +11,16 @@ import msgspec
 import typer
 from msgspec import Struct
 
+from authguard_r.audit.boxes import SEALING, act_of
+from authguard_r.audit.closed import Closed
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
+from authguard_r.cli.opening import Opening, ReaderOption, opening_of
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
@@ -29,6 +33,7 @@ _WAITING = 256
 #: Releases whose end is still to come; more than any robot has.
 _OPEN = 1_024
 _REASONS = frozenset(map(str, Reason))
+_NOTHING = Closed()
 
 
 class Wanted(Struct, frozen=True, kw_only=True):
@@ -76,6 +81,7 @@ class _Line(Struct, kw_only=True):
 
     item: dict[str, Any]
     text: str
+    closed: str
     ticket: str | None = None
     ended: str = ""
 
@@ -92,8 +98,24 @@ class Timeline:
         self._waiting: deque[_Line] = deque()
         self._begun: dict[str, tuple[int, str]] = {}
 
-    def see(self, row: Row, record: Record, values: dict[str, Any], *, wanted: bool) -> None:
-        """Take in the next record; one that is not wanted may still say how another ended."""
+    def see(
+        self,
+        row: Row,
+        record: Record,
+        values: dict[str, Any],
+        *,
+        wanted: bool,
+        closed: Closed = _NOTHING,
+    ) -> None:
+        """Take in the next record; one that is not wanted may still say how another ended.
+
+        Args:
+            row: as it was opened.
+            record: its record.
+            values: what lies beside it.
+            wanted: it is shown.
+            closed: what of it stays closed.
+        """
         ticket = _ticket(record)
         began = self._begun.pop(ticket, None) if record.kind == "outcome" and ticket else None
         if record.kind == "outcome":
@@ -105,9 +127,10 @@ class Timeline:
         if wanted:
             told = {"seq": row.seq, **msgspec.to_builtins(record)}
             told["values"] = msgspec.to_builtins(values)
+            told |= {"closed": closed.plain()} if closed else {}
             text = _line(row.seq, record, values, began)
             waits = ticket if record.kind != "outcome" else None
-            self._waiting.append(_Line(item=told, text=text, ticket=waits))
+            self._waiting.append(_Line(item=told, text=text, closed=closed.words(), ticket=waits))
         self._flush(_WAITING)
 
     def close(self) -> None:
@@ -122,7 +145,7 @@ class Timeline:
     def _flush(self, most: int) -> None:
         while self._waiting and (self._waiting[0].ticket is None or len(self._waiting) > most):
             line = self._waiting.popleft()
-            self._show(line.item, line.text + line.ended)
+            self._show(line.item, f"{line.text}{line.ended} {line.closed}".rstrip())
 
 
 def show_command(
@@ -150,6 +173,8 @@ def show_command(
     last: Annotated[
         int | None, typer.Option("--to", help="The last record's number.", min=0)
     ] = None,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Print the log as a timeline: who, what, from where to where, what was said, how it ended."""
@@ -166,13 +191,14 @@ def show_command(
         first=first,
         last=last,
     )
-    with listing("records", as_json=as_json) as out, reading(store) as log:
-        shown = _shown(log.rows, wanted, out)
+    opening = opening_of(reader, passphrase_file)
+    with listing("records", as_json=as_json) as out, reading(store, opening) as log:
+        shown = _shown(log.rows, wanted, out, opening)
         out.end({}, [] if shown else ["no records"])
     return 0
 
 
-def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing) -> int:
+def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing, opening: Opening) -> int:
     """Print each record that is wanted; return how many."""
     count = 0
 
@@ -189,7 +215,9 @@ def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing) -> int:
         sealed = read_sealed(row.sealed, where=f"record {row.seq}")
         values = {name: item.value for name, item in sealed.items()}
         try:
-            timeline.see(row, record, values, wanted=wanted.has(record, values))
+            closed = opening.closed(record, values)
+            has = wanted.has(record, values)
+            timeline.see(row, record, values, wanted=has, closed=closed)
         except (AttributeError, TypeError, ValueError) as error:
             text = f"expected what such a record holds: {error}"
             raise MalformedError(text, where=f"record {row.seq}") from error
@@ -200,20 +228,22 @@ def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing) -> int:
 def _line(seq: int, record: Record, values: dict[str, Any], began: tuple[int, str] | None) -> str:
     """Return a record for people; `began` is what an outcome is the end of."""
     at, reasons = to_timestamp(record.link.time_ms), record.open.get("reasons") or ()
-    what = _what(record, values) if began is None else f"{began[1]} (record {began[0]})"
-    why = f": {', '.join(map(str, reasons))}" if reasons else ""
+    what = _what(record, values) if began is None else f"{began[1]} (record {began[0]})".strip()
+    told = ": ".join(part for part in (what, ", ".join(map(str, reasons))) if part)
     head = f"{seq:5} {at} {record.kind:11}{record.link.decision:17} {record.link.mid:16} "
-    return f"{head}{who_of(record, values):20} {what}{why}".rstrip()
+    return f"{head}{who_of(record, values):20} {told}"
 
 
 def _what(record: Record, values: dict[str, Any]) -> str:
     """Return what a record is about, in few words."""
-    action = values.get("action")
-    if isinstance(action, list) and action:
-        action = action[0]  # an emergency's
+    several = values.get("action")  # an emergency's
+    action = several[0] if isinstance(several, list) and several else act_of(values)
     if isinstance(action, dict):
         return _moved(action)
     opened = record.open
+    if record.kind == SEALING:
+        told = (map(str, opened.get(name) or ()) for name in ("classes", "roles"))
+        return " for ".join(map(", ".join, told))
     if record.kind == "management":
         return _order(opened, values)
     if record.kind == "genesis":

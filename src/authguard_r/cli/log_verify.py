@@ -11,14 +11,20 @@ import msgspec
 import typer
 
 from authguard_r.audit.note import read_key
-from authguard_r.audit.verify import Verification, verify_rows
+from authguard_r.audit.pieces import MOST_JOBS, usable_jobs, verify_in_pieces
+from authguard_r.audit.verify import Verification
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_anchors import Asked, Known, known_of
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import Log
+from authguard_r.cli.opening import Held, ReaderOption, opening_of
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.quantities import to_timestamp
+
+#: Most processes that somebody can ask for.
+_MOST_ASKED = 64
 
 
 def verify_command(
@@ -49,6 +55,18 @@ def verify_command(
         Path | None,
         typer.Option("--trust", help="A trust folder; its gate's certificate gives the key."),
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            help="Processes that verify a long log; 1: this one alone (default: one for each "
+            f"processor that may be used, at most {MOST_JOBS}).",
+            min=1,
+            max=_MOST_ASKED,
+        ),
+    ] = None,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say whether the log is whole and how it is anchored; tampered: 1, unreadable: 4.
@@ -56,7 +74,9 @@ def verify_command(
     The first record that is changed, missing, inserted or out of place is named. Only a checkpoint
     that was signed with a key that you name shows that this is the log that was written, as far as
     it reaches; the one in the file goes back with the file, so keep one elsewhere. Naming a key or
-    witnesses demands such a checkpoint. A gate that runs tells its log itself.
+    witnesses demands such a checkpoint. A gate that runs tells its log itself, and nothing else is
+    started beside it. With --reader every box that the key opens is opened, in this process alone,
+    and held to what its record commits to.
     """
     if quorum is not None and quorum > len(witness or ()):
         raise typer.BadParameter("expected at least as many witnesses", param_hint="--quorum")
@@ -67,12 +87,15 @@ def verify_command(
         quorum=quorum or len(witness or ()),
         trust=trust,
     )
+    held = Held(opening_of(reader, passphrase_file))
     with reading(store) as log:
         known = known_of(asked, log.notes)
-        found = verify_rows(log.rows, anchors=known.anchors)
-    emit(
-        _payload(found, known, log), _lines(found, known, log, own=not asked.kept), as_json=as_json
-    )
+        # beside a gate that drives a robot, nobody takes its processors
+        most = 1 if log.gate is not None or held.opens else jobs or usable_jobs()
+        rows = held.rows(log.rows) if held.opens else log.rows
+        found = held.judged(verify_in_pieces(rows, jobs=most, anchors=known.anchors))
+    lines = [*_lines(found, known, log, own=not asked.kept), *held.lines(found)]
+    emit(_payload(found, known, log) | held.plain(), lines, as_json=as_json)
     return 0 if found.whole else 1
 
 

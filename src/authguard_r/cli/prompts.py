@@ -15,22 +15,32 @@ from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.logs import Log, open_log
+from authguard_r.cli.opening import ReaderOption, opening_of
 from authguard_r.cli.out import emit
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.standing import Standing
 from authguard_r.store.sqlite import read_held
 
 
-def prompts_command(store: StoreArgument, as_json: JsonFlag = False) -> int:
+def prompts_command(
+    store: StoreArgument,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
+    as_json: JsonFlag = False,
+) -> int:
     """Say how often people were asked: signatures, approval requests and choices, per mission."""
+    opening = opening_of(reader, passphrase_file)
     with open_log(store) as log:
-        rows = list(log.rows)
+        rows = list(opening.rows(log.rows))
     records = [read_record(row.record, where=f"record {row.seq}") for row in rows]
     standings = _held(store, records) if log.gate is None else _told(log, rows, records)
+    closed = [] if log.gate is None else _closed(records, standings)
     found = count_prompts(records, standings)
     figure = float(round(found.per_mission, 3)) if found.missions else None
     payload = {**msgspec.to_builtins(found), "asked": found.asked, "per_mission": figure}
+    payload |= {"closed": closed} if closed else {}
     asked = f"a person was asked {found.asked} time(s) for {found.missions} mission(s)"
     parts = f"{found.signatures} signature(s), {found.requests} approval request(s)"
     head = "no missions yet" if figure is None else f"{figure:g} prompts per mission: {asked}"
@@ -39,6 +49,9 @@ def prompts_command(store: StoreArgument, as_json: JsonFlag = False) -> int:
         lines.append(
             "  as the running gate tells it; of ended missions there may be one request more"
         )
+    if closed:
+        named = ", ".join(closed)
+        lines.append(f"  sealed or destroyed, so requests are not counted: missions {named}")
     emit(payload, lines, as_json=as_json)
     return 0
 
@@ -65,6 +78,12 @@ def _told(log: Log, rows: list[Row], records: list[Record]) -> dict[Any, Standin
     if last is not None:
         standings[last.mid] = replace(last, prompts=max(last.prompts, mission.get("prompts", 0)))
     return standings
+
+
+def _closed(records: list[Record], standings: dict[Any, Standing | None]) -> list[str]:
+    """Return the missions of which a log has what their decisions saw, and does not tell it."""
+    decided = {record.link.mid for record in records if "standing" in record.committed}
+    return [mid for mid, standing in standings.items() if mid in decided and standing is None]
 
 
 def _standing(plain: Any, seq: int) -> Standing:

@@ -24,8 +24,10 @@ from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
+from authguard_r.cli.opening import Opening, ReaderOption, opening_of
 from authguard_r.cli.replay_sources import Forged, Inputs, Lacking, Sources
-from authguard_r.core.errors import AuthenticityError
+from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust, read_trust
 
@@ -98,6 +100,11 @@ class Replay:
             return None
         self.decisions += 1
         return self._decided(record, self._sources.inputs(record, values))
+
+    def not_sealed(self, row: Row, error: AuthenticityError | MalformedError) -> Difference:
+        """Return what is wrong with a row whose boxes no gate has sealed."""
+        record = read_record(row.record, where=f"record {row.seq}")
+        return self._forged(record, Forged(f"{error.reason}: {error.message} (at {error.where})"))
 
     @property
     def not_replayable(self) -> int:
@@ -186,20 +193,31 @@ def recorded(record: Record) -> dict[str, Any]:
     }
 
 
-def replayed(rows: Iterable[Row], replay: Replay, out: Listing) -> Verification:
+def replayed(
+    rows: Iterable[Row], replay: Replay, out: Listing, opening: Opening | None = None
+) -> Verification:
     """Verify a log and replay it in one pass; each difference is told as it is found.
 
+    What is verified is what is stored; what is decided again is what a reader's key opens of it.
+
     Args:
-        rows: the log, from a store that nobody trusts.
+        rows: the log as it is stored, by nobody whom anybody trusts.
         replay: what counts.
         out: where differences go.
+        opening: what opens its rows; None: whoever has the log alone.
     """
+    open_row = (opening or Opening()).opened
 
     def followed() -> Iterator[Row]:
         for row in rows:
             yield row  # whoever verifies asks for the next one only when this one held
             out.tick(row.seq)
-            wrong = replay.see(row)
+            try:
+                told = open_row(row)
+            except (AuthenticityError, MalformedError) as error:
+                wrong: Difference | None = replay.not_sealed(row, error)
+            else:
+                wrong = replay.see(told)
             if wrong is not None:
                 out.add(_told(wrong), *_wrong_lines(wrong))
 
@@ -215,6 +233,8 @@ def replay_command(
     first: Annotated[
         int, typer.Option("--from", help="Make decisions again from this record on.", min=0)
     ] = 0,
+    reader: ReaderOption = None,
+    passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Make every decision of a log again, from the log alone; one that differs: exit 1.
@@ -222,9 +242,9 @@ def replay_command(
     The log is verified in the same pass: one that is not whole is exit 1, too.
     """
     anchor = None if trust is None else read_trust(trust)
-    replay = Replay(anchor, first=first)
+    replay, opening = Replay(anchor, first=first), opening_of(reader, passphrase_file)
     with listing("differences", as_json=as_json) as out, reading(store) as log:
-        found = replayed(log.rows, replay, out)
+        found = replayed(log.rows, replay, out, opening)
         told_by = None if log.gate is None else log.gate.pid
         why = [
             {"why": why, "count": item.count, "first": item.first, "last": item.last}

@@ -23,6 +23,7 @@ from authguard_r.approvals.organization import (
     open_policy,
     require_sound_policy,
 )
+from authguard_r.audit.closed import closed_of
 from authguard_r.audit.record import Record
 from authguard_r.cli.log_claims import as_token, claimed, claimed_mission, is_instance
 from authguard_r.cli.replay_words import plain, plain_facts
@@ -51,6 +52,8 @@ _FIRST = 1
 #: Missions, and authorities that only tokens name: one at a time counts, so a few are plenty.
 _MOST_KEPT = 16
 _NEEDED = ("action", "approvals", "now", "standing", "state")
+#: Not sealed for others, and in no box that was destroyed: taken out of the log by themselves.
+_GONE = "sealed values are gone"
 
 
 class Lacking(Struct, frozen=True):
@@ -149,9 +152,9 @@ class Sources:
 
     def inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
         """Return everything that a decision was made of, or why that cannot be said."""
-        gone = [name for name in _NEEDED if name not in values]
+        gone = _not_there(record, values)
         if gone:
-            return Lacking(f"sealed values are gone: {', '.join(gone)}")
+            return Lacking(gone)
         digest = str(record.open.get("mission"))
         lacking = self._lacking(record, digest, values)
         if lacking is not None:
@@ -194,7 +197,7 @@ class Sources:
         risk = () if self._facts is None else self._facts.risk
         self._facts = None
         if "site" not in values:
-            self._no_site = "sealed values are gone: site"
+            self._no_site = f"{_GONE}: site"
             return
         try:
             site = msgspec.convert(values["site"], Site)
@@ -216,7 +219,8 @@ class Sources:
         if self._facts is None:
             return
         if "token" not in values:
-            self._facts, self._no_site = None, "sealed values are gone: the organization's policy"
+            why = closed_of(record, values).why("token") or _GONE
+            self._facts, self._no_site = None, f"{why}: the organization's policy"
             return
         if self._trust is None:
             found = require_sound_policy(
@@ -244,7 +248,8 @@ class Sources:
     def _activate(self, record: Record, values: dict[str, Any]) -> None:
         digest = str(record.open.get("mission"))
         if "token" not in values:
-            self._note_gone(digest, "sealed values are gone: the mission's token")
+            why = closed_of(record, values).why("token") or _GONE
+            self._note_gone(digest, f"{why}: the mission's token")
             return
         self._note_gone(digest, "its mission does not hold")
         verified = self._verified(values, _at(record))
@@ -327,6 +332,19 @@ def _as_at_first(trust: Trust) -> Trust:
         for der, found in trust.lists.items()
     }
     return Trust(trust.roots, lists)
+
+
+def _not_there(record: Record, values: dict[str, Any]) -> str:
+    """Return what a decision is made of and is not told, and why not; empty when all is there.
+
+    What was destroyed is destroyed for everybody, so it is said before what is only sealed.
+    """
+    left = [name for name in _NEEDED if name not in values]
+    closed = closed_of(record, values)
+    told: dict[str, list[str]] = {"destroyed": [], "sealed": [], _GONE: []}
+    for name in left:
+        told[closed.why(name) or _GONE].append(name)
+    return next((f"{why}: {', '.join(names)}" for why, names in told.items() if names), "")
 
 
 def _at(record: Record) -> Now:

@@ -25,6 +25,8 @@ from authguard_r.sealing import Reader, Retention, require_readers, require_rete
 from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
+#: Fewest records of a segment.
+LEAST_RECORDS = 1_024
 CONFIG_ROLES = frozenset({"site_authority"})
 
 
@@ -64,6 +66,8 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         witnesses: who cosign the checkpoints, each once.
         quorum: so many of them make one `witnessed`; 0 where there are none.
         witness_ms: nothing was witnessed for so long, though there is something: an alert; 0: none.
+        segment_records: while so many records lie in the store, the oldest go into a sealed
+            segment beside it; 0: never.
         readers: who may read which sealed fields of the log; what nobody may, lies open.
         retention: how long sealed fields are kept, for each class at most one rule, sorted.
     """
@@ -85,6 +89,7 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     witnesses: Annotated[tuple[WitnessPlace, ...], Meta(max_length=16)] = ()
     quorum: Count = 0
     witness_ms: Count = 600_000
+    segment_records: Count = 1_000_000
     readers: Annotated[tuple[Reader, ...], Meta(max_length=32)] = ()
     retention: Annotated[tuple[Retention, ...], Meta(max_length=len(DataClass))] = ()
 
@@ -132,6 +137,7 @@ def open_gate_config(data: bytes, *, verifier: Verifier, now: Now, robot: RobotI
                 reason=Reason.SCHEMA_INVALID,
             )
     require_witnesses(config)
+    require_segments(config)
     require_readers(config.readers, where="gate.readers")
     require_retention(config.retention, config.readers, where="gate.retention")
     if config.robot != robot:
@@ -159,6 +165,20 @@ def require_witnesses(config: GateConfig, *, where: str = "gate") -> None:
         raise MalformedError(
             "expected witnesses with names and keys of their own, and a quorum among them",
             where=f"{where}.quorum" if apart else f"{where}.witnesses",
+            reason=Reason.SCHEMA_INVALID,
+        )
+
+
+def require_segments(config: GateConfig, *, where: str = "gate") -> None:
+    """Refuse segments that are all but none: each is a file, with a signature.
+
+    Raises:
+        MalformedError: less than `LEAST_RECORDS`, and not 0.
+    """
+    if 0 < config.segment_records < LEAST_RECORDS:
+        raise MalformedError(
+            f"expected 0, or at least {LEAST_RECORDS}, got {config.segment_records}",
+            where=f"{where}.segment_records",
             reason=Reason.SCHEMA_INVALID,
         )
 

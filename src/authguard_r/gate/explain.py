@@ -8,10 +8,13 @@ signed change needs the mission that the record names. Spec page: docs/reference
 from __future__ import annotations
 
 import os
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import msgspec
 
+from authguard_r.audit.boxes import act_of
+from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import NONE, Record, Sealed
 from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.core.action import Action
@@ -38,42 +41,52 @@ def explanation(
     *,
     mission: Mission | None,
     how: str | None = None,
+    has: AbstractSet[str] = frozenset(),
 ) -> dict[str, Any]:
     """Return what a record says, as data and as lines for people.
 
     Args:
         seq: its number.
-        record: the record.
-        sealed: the values beside it; those that were destroyed are simply not told.
+        record: the record, as it was opened.
+        sealed: the values beside it then; what stays closed is said to be.
         mission: the mission that it names, when that is at hand.
         how: the command that writes the smallest change; None: the one for a running gate.
+        has: the classes that whoever reads has keys of.
 
     Raises:
         MalformedError: the values are not what such a record holds: it is damaged.
     """
+    closed = closed_of(record, sealed, has=has)
     try:
-        return _explained(seq, record, sealed, mission, how or _DRAFT.format(seq))
+        told = _explained(
+            record, sealed, closed=closed, mission=mission, how=how or _DRAFT.format(seq)
+        )
     except (AttributeError, LookupError, StopIteration, TypeError, ValueError) as error:
         raise MalformedError(
             f"expected what such a record holds: {error}", where=f"record {seq}"
         ) from error
+    return {"seq": seq, **told}
 
 
 def _explained(
-    seq: int, record: Record, sealed: dict[str, Sealed], mission: Mission | None, how: str
+    record: Record,
+    sealed: dict[str, Sealed],
+    *,
+    closed: Closed,
+    mission: Mission | None,
+    how: str,
 ) -> dict[str, Any]:
     opened = record.open
     values = {name: item.value for name, item in sealed.items()}
-    action = values.get("action")
+    action = act_of(values)
     who = who_of(record, values)
-    why = _why(opened, values)
+    why = _why(opened, values) or (list(map(str, opened.get("reasons", ()))) if closed else [])
     change = _change(record, values, mission)
     influences = values.get("influences", [])
     emergency = opened.get("what") == EMERGENCY
     mends = mends_of(opened.get("reasons") or (), emergency=emergency)
     what = f"emergency {values.get('capability')}" if emergency else _what(record, action)
     return {
-        "seq": seq,
         "kind": record.kind,
         "time": to_timestamp(record.link.time_ms),
         "decision": record.link.decision,
@@ -83,7 +96,9 @@ def _explained(
         "influenced_by": influences,
         "mends": mends,
         "smallest_change": change,
-        "text": _lines(seq, record, who=who, what=what, why=why)
+        **({"closed": closed.plain()} if closed else {}),
+        "text": _lines(record, who=who, what=what, why=why)
+        + ([f"  {closed.words()}"] if closed else [])
         + [f"  influenced by {i['channel']}: `{i['value']}`" for i in influences]
         + [f"  to do: {mend}" for mend in mends]
         + ([f"  a signed next version could allow it: {how}"] if change else []),
@@ -92,7 +107,7 @@ def _explained(
 
 def who_of(record: Record, values: dict[str, Any]) -> str:
     """Return whose act a record is of, as the channel named them; `-`: it does not say."""
-    said = record.open.get("client") or record.open.get("by") or _planner(values.get("action"))
+    said = record.open.get("client") or record.open.get("by") or _planner(act_of(values))
     return str(said or NONE)
 
 
@@ -133,7 +148,7 @@ def _what(record: Record, action: Any) -> str:
     names = ("object", "source", "destination")
     fields = [f"{name} {action[name]}" for name in names if action.get(name)]
     fields += [f"{name}={value}" for name, value in (action.get("params") or {}).items()]
-    return " ".join([str(action.get("type")), *fields])
+    return " ".join([str(action.get("type", "...")), *fields])
 
 
 def _named(record: Record) -> str:
@@ -164,12 +179,12 @@ def _why(opened: dict[str, Any], values: dict[str, Any]) -> list[str]:
     return told + [f"safety gate: {hazard}" for hazard in hazards]
 
 
-def _lines(seq: int, record: Record, *, who: str, what: str, why: list[str]) -> list[str]:
+def _lines(record: Record, *, who: str, what: str, why: list[str]) -> list[str]:
     at = to_timestamp(record.link.time_ms)
     said = list(dict.fromkeys((record.kind, record.link.decision, what)))
     named = " ".join(said[:2]) + "".join(f": {word}" for word in said[2:])
     by = "" if who == NONE else f" (by {who})"
-    head = f"record {seq}, {at}: {named}{by}"
+    head = f"record {record.link.seq}, {at}: {named}{by}"
     return [head, *(f"  {line}" for line in why)]
 
 
@@ -178,7 +193,9 @@ def _change(record: Record, values: dict[str, Any], mission: Mission | None) -> 
     grant = record.open.get("grant", NONE)
     if mission is None or record.link.decision != "reject" or grant == NONE:
         return None
-    action = msgspec.convert(values.get("action"), Action)
+    if "action" not in values:  # sealed, at least a part of it, or destroyed
+        return None
+    action = msgspec.convert(values["action"], Action)
     reasons = tuple(Reason(code) for code in record.open.get("reasons", ()))
     amended = smallest_change(
         mission,

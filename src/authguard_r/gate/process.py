@@ -24,6 +24,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.anchoring.counter import Counter
+from authguard_r.anchoring.rotation import Rotation
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.assembly import Gate, assemble
 from authguard_r.core.errors import EnvironmentFault
@@ -45,7 +46,7 @@ from authguard_r.gate.recovery import Recovery
 from authguard_r.gate.roads import open_road
 from authguard_r.gate.service import LOOK_S, Service
 from authguard_r.gate.streams import Streams
-from authguard_r.gate.vigil import notary_policy
+from authguard_r.gate.vigil import notary_policy, rotation_policy
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust
 from authguard_r.normalize import Binder
@@ -53,9 +54,10 @@ from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import WATCH_MS
 from authguard_r.safety import EnvelopeGate, SafetyConfig, safety_digest
+from authguard_r.sealing import SealingPolicy
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.site.model import Site, stopping_mm
-from authguard_r.store.sqlite import open_store
+from authguard_r.store.sqlite import SqliteStore, open_store
 from authguard_r.times import SIMULATED, SystemClock
 from authguard_r.wire.messages import Mode
 
@@ -158,7 +160,8 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
         lock = _hold(parts)
         held.callback(lock.release)
         mounted = _mount(parts)
-        gate = _assemble(parts, mounted)
+        store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
+        gate = _assemble(parts, mounted, store)
         held.callback(gate.close)
         gate.enforcer.before_first(lambda: None)
         if mounted.remote is not None:
@@ -180,6 +183,7 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
             advance=_advance(parts),
         )
         service.view.free_bytes = partial(_free_bytes, parts.store.absolute().parent)
+        service.vigil.rotation = _rotation(parts, gate, store)
         service.vigil.begin()
         _rescue(parts, service, mounted.remote, held)
         keeper = _keeper(parts, held)
@@ -221,7 +225,7 @@ def _mount(parts: Parts) -> _Mounted:
     return _Mounted(remote, remote, inbox, inbox, clock)
 
 
-def _assemble(parts: Parts, mounted: _Mounted) -> Gate:
+def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore) -> Gate:
     clock = {"clock": SIMULATED} if parts.simulated is not None else {}
     return assemble(
         trust=parts.trust,
@@ -231,7 +235,7 @@ def _assemble(parts: Parts, mounted: _Mounted) -> Gate:
         controller=mounted.controller,
         source=mounted.source,
         clock=mounted.clock,
-        store=open_store(parts.store, reserve_bytes=parts.config.reserve_bytes),
+        store=store,
         genesis={
             "binding": binding_digest(parts.binding),
             "safety": safety_digest(parts.safety),
@@ -245,7 +249,17 @@ def _assemble(parts: Parts, mounted: _Mounted) -> Gate:
         counter=parts.counter,
         signer=parts.signer,
         notary=notary_policy(parts.config),
-        readers=parts.config.readers,
+        sealing=SealingPolicy(readers=parts.config.readers, retention=parts.config.retention),
+    )
+
+
+def _rotation(parts: Parts, gate: Gate, store: SqliteStore) -> Rotation:
+    return Rotation(
+        gate.ledger,
+        store,
+        robot=parts.config.robot,
+        signer=parts.signer,
+        policy=rotation_policy(parts.config),
     )
 
 

@@ -49,6 +49,8 @@ from authguard_r.wire.messages import PROTOCOL, ClientRole, Hello, Kind, Mode, P
 
 #: Open leases are looked at this often, in seconds; never more seldom than every 100 ms.
 LOOK_S = 0.05
+#: How often some boxes go whose keys are destroyed.
+SHRED_S = 0.05
 #: What waits to be recorded is recorded this often, in seconds.
 FLUSH_S = 0.1
 #: Silence is looked for this often, in seconds.
@@ -333,6 +335,7 @@ class Service:
             asyncio.create_task(every(FLUSH_S, self._flush)),
             asyncio.create_task(every(LISTEN_S, self._listen)),
             asyncio.create_task(every(VIGIL_S, self.vigil.look)),
+            asyncio.create_task(every(SHRED_S, self._shred)),
         ]
         mode, unclean = str(self._config.mode), self._recovery.unclean
         started = {"robot": self._config.robot, "mode": mode, "pid": os.getpid()}
@@ -353,6 +356,10 @@ class Service:
 
     def _flush(self) -> None:
         quietly(self.gate.ledger.flush)
+
+    def _shred(self) -> None:
+        quietly(self.gate.management.retire)
+        quietly(self.gate.management.shred_on)
 
     def _listen(self) -> None:
         """Once a second: recovery that is late, silence, the clock, the journal's counts."""

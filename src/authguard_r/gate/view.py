@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.anchoring.growth import counted
 from authguard_r.assembly import Gate
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.core.encoding import b64
@@ -141,7 +142,7 @@ class View:
             "stop_stands": ledger.peek(stop_stands),
             "emergency": None if self.emergency is None else self.emergency(),
             "alerts": list(self._liveness.alerts),
-            "log": {"size": size, "head": b64(head)},
+            "log": {"size": size, "head": b64(head), "mission": ledger.peek(_written)},
             "refusals": {"shed": self.counted["shed"], "requests": self.counted["refused"]},
             "disk": self._disk(),
             "lane": None if self.lane_alive is None else {"alive": self.lane_alive()},
@@ -276,6 +277,15 @@ class View:
             for name, count in self.counted.items()
             if name.startswith(prefix)
         }
+
+
+def _written(turn: Turn) -> dict[str, int] | None:
+    """Return what the active mission has written to the log, None without one."""
+    mid = turn.get("active", "mission")
+    if not mid:
+        return None
+    found = counted(turn, mid.decode("ascii", "replace"))
+    return {**msgspec.to_builtins(found.growth), "counted": found.upto}
 
 
 def _shown(standing: Standing, mission: Mission, *, void: Reason | None) -> dict[str, Any]:

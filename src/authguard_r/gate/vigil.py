@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the gate's loop does for its log's checkpoints, and tells of its witnesses.
+"""What the gate's loop does for its log: checkpoints, witnesses, segments, and what it tells.
 
-Spec page: docs/spec/rollback.md#checkpoints
+Spec page: docs/spec/rollback.md#checkpoints, docs/spec/store.md#rotation
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from authguard_r.anchoring.anchor import Anchor, Told
 from authguard_r.anchoring.notary import NotaryPolicy
 from authguard_r.anchoring.quorum import WitnessPolicy
+from authguard_r.anchoring.rotation import Rotation, RotationPolicy
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.notices import Notices
@@ -25,6 +26,11 @@ def notary_policy(config: GateConfig) -> NotaryPolicy:
     )
 
 
+def rotation_policy(config: GateConfig) -> RotationPolicy:
+    """Return when the oldest records go into a segment."""
+    return RotationPolicy(records=config.segment_records, witnessed=config.quorum > 0)
+
+
 class Vigil:
     """Watches over what lies outside of the store.
 
@@ -38,6 +44,8 @@ class Vigil:
         self._anchor = anchor
         self._liveness = liveness
         self._notices = notices
+        #: Moves the oldest records out of the store; None where there is no file.
+        self.rotation: Rotation | None = None
 
     def begin(self) -> None:
         """Tell of a store that was put back before the gate started."""
@@ -45,9 +53,12 @@ class Vigil:
             self._tell(told)
 
     def look(self) -> None:
-        """Make a checkpoint if one is due, see to the witnesses, and tell what is to be told."""
+        """Make a checkpoint if one is due, see to the witnesses, move records, tell of all that."""
         for told in self._anchor.tick():
             self._tell(told)
+        if self.rotation is not None and not self._anchor.put_back():
+            for told in self.rotation.tick():
+                self._tell(told)
 
     def _tell(self, told: Told) -> None:
         if told.over:

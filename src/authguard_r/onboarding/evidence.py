@@ -8,12 +8,14 @@ for. What was not used is listed with the reason. Spec page: docs/spec/audit-rec
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import msgspec
 from msgspec import Struct
 
+from authguard_r.audit.boxes import ACT
+from authguard_r.audit.closed import closed_of
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.audit.verify import Row, Verification, verify_rows
 from authguard_r.core.action import Action
@@ -88,18 +90,22 @@ class Evidence(Struct, frozen=True, kw_only=True):
     unused: tuple[Unused, ...]
 
 
-def gather(rows: Iterable[Row], site: Site) -> Evidence:
+def gather(
+    rows: Iterable[Row], site: Site, *, opened: Callable[[Row], Row] | None = None
+) -> Evidence:
     """Return what a log shows, once it is whole.
 
     Args:
-        rows: the log, in order; trusted in nothing.
+        rows: the log as it is stored, in order; trusted in nothing.
         site: the site in whose words actions are to be; those of another site do not count.
+        opened: opens what of a row is sealed, as far as a reader's key goes; None: nothing is.
 
     Raises:
         RefusedError: the log is not whole, or no record of it is marked `shadow`.
-        MalformedError: more records than are learned from at once.
+        MalformedError: more records than are learned from at once, or one is not what was sealed.
+        AuthenticityError: a key does not open what was wrapped for it.
     """
-    found = _Gathered(site)
+    found = _Gathered(site, opened)
     log = verify_rows(found.passing(rows), terminal=None)
     if not log.whole:
         message = f"nothing is learned from a log that is not whole: {log.fault}"
@@ -117,10 +123,11 @@ def gather(rows: Iterable[Row], site: Site) -> Evidence:
 
 
 class _Gathered:
-    """Takes out of each row what can be learned from it, on its way to the verifier."""
+    """Takes out of each row what can be learned from it, once the verifier has let it pass."""
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, site: Site, opened: Callable[[Row], Row] | None) -> None:
         self._site = site
+        self._opened = opened
         self._facts: SiteFacts | None = None
         self._same_site = False
         self.robot: RobotId | None = None
@@ -133,16 +140,13 @@ class _Gathered:
     def passing(self, rows: Iterable[Row]) -> Iterator[Row]:
         """Yield the rows as they are."""
         for row in rows:
-            self._take(row)
-            yield row
+            yield row  # whoever verifies asks for the next one only when this one held
+            self._take(row if self._opened is None else self._opened(row))
 
     def _take(self, row: Row) -> None:
         where = f"record {row.seq}"
-        try:
-            record = read_record(row.record, where=where)
-            sealed = read_sealed(row.sealed, where=where)
-        except MalformedError:
-            return  # the verifier says what is wrong with it
+        record = read_record(row.record, where=where)
+        sealed = read_sealed(row.sealed, where=where)
         if record.kind == "genesis":
             self._begin(record)
         elif record.kind in _LEARNED:
@@ -170,8 +174,14 @@ class _Gathered:
         if "repeats" in record.open:
             self.unused.append(Unused(seq, "refusals that were counted and not kept"))
             return
+        acts = record.kind == "decision" or not {"action", ACT}.isdisjoint(record.committed)
+        name = "action" if acts else "plan"
+        closed = "" if name in sealed else closed_of(record, sealed).why(name)
+        if closed:
+            self.unused.append(Unused(seq, f"its `{name}` is {closed}"))
+            return
         try:
-            if "action" in sealed or record.kind == "decision":
+            if acts:
                 self.proposed.append(self._proposed(seq, sealed))
             else:
                 self.plans.append(self._plan(seq, sealed))

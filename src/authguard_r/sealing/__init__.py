@@ -5,20 +5,16 @@ from authguard_r.sealing.policy import (
     Reader,
     Retention,
     SealingPolicy,
-    policy_of,
     require_readers,
     require_retention,
 )
 from authguard_r.sealing.ring import KeyRing
-from authguard_r.sealing.sealer import Sealer
 
 __all__ = [
     "KeyRing",
     "Reader",
     "Retention",
-    "Sealer",
     "SealingPolicy",
-    "policy_of",
     "require_readers",
     "require_retention",
 ]

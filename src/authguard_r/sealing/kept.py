@@ -10,13 +10,14 @@ from msgspec import Struct
 
 from authguard_r.core.encoding import encode
 from authguard_r.core.identifiers import Count, MissionId
-from authguard_r.core.ports import Turn
+from authguard_r.core.ports import Store, Turn
 from authguard_r.ledger import Act, read_held
-from authguard_r.sealing.policy import POLICY
+from authguard_r.sealing.policy import SealingPolicy
 
 #: Where the store holds which record tells the newest keys of a mission.
 HELD = "sealing"
-_DUE = "due"
+#: Where it holds what the last gate sealed, and the missions whose fields have an end to come.
+POLICY, _NEWEST, _DUE = "sealing-policy", "newest", "due"
 
 
 class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -52,3 +53,28 @@ def newest_keys(turn: Turn | Act, mid: str) -> int | None:
     """
     held = turn.get(HELD, mid)
     return read_held(held, Kept, HELD).newest if held else None
+
+
+def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:
+    """Return what is sealed: as the gate's configuration says, which the store then holds too.
+
+    Args:
+        store: the robot's.
+        given: of the configuration; None: who acts on the store has none, and what the last gate
+            had goes on.
+
+    Raises:
+        StoreError: what is held is none.
+    """
+    spelled = None if given is None else encode(given)
+
+    def job(turn: Turn) -> bytes | None:
+        held = turn.get(POLICY, _NEWEST)
+        if spelled is not None and spelled != held and (held or given != SealingPolicy()):
+            turn.put(POLICY, _NEWEST, spelled)
+        return held
+
+    held = store.run(job)
+    if given is not None or not held:
+        return given or SealingPolicy()
+    return read_held(held, SealingPolicy, POLICY)

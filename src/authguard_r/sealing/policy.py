@@ -11,16 +11,10 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from authguard_r.audit.boxes import DataClass
-from authguard_r.core.encoding import encode
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, Identifier
-from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.readers import ReaderPublic, read_public
-from authguard_r.ledger import read_held
-
-#: Where the store holds what the last gate sealed.
-POLICY, NEWEST = "sealing-policy", "newest"
 
 
 class Reader(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -108,28 +102,3 @@ def require_retention(
         raise MalformedError(
             "expected classes sorted, each once", where=where, reason=Reason.SCHEMA_INVALID
         )
-
-
-def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:
-    """Return what is sealed: as the gate's configuration says, which the store then holds too.
-
-    Args:
-        store: the robot's.
-        given: of the configuration; None: who acts on the store has none, and what the last gate
-            had goes on.
-
-    Raises:
-        StoreError: what is held is none.
-    """
-    spelled = None if given is None else encode(given)
-
-    def job(turn: Turn) -> bytes | None:
-        held = turn.get(POLICY, NEWEST)
-        if spelled is not None and spelled != held and (held or given != SealingPolicy()):
-            turn.put(POLICY, NEWEST, spelled)
-        return held
-
-    held = store.run(job)
-    if given is not None or not held:
-        return given or SealingPolicy()
-    return read_held(held, SealingPolicy, POLICY)

@@ -16,10 +16,10 @@ from authguard_r.audit.record import NONE, Entry, append
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId
-from authguard_r.core.ports import Turn
+from authguard_r.core.ports import Store, Turn
 from authguard_r.ledger import read_held
-from authguard_r.sealing.kept import HELD, Kept, due_missions, hold_due
-from authguard_r.sealing.policy import SealingPolicy, require_readers
+from authguard_r.sealing.kept import HELD, Kept, due_missions, hold_due, policy_of
+from authguard_r.sealing.policy import Retention, SealingPolicy, require_readers
 from authguard_r.sealing.wraps import Wrapped, WrappedFor
 
 #: Missions whose keys are in memory at a time; more than one only around a change of missions.
@@ -128,3 +128,20 @@ class Sealer:
             sealed=wraps,
         )
         append(turn, told, salts=salts(16 * len(wraps)))
+
+
+def sealer_of(
+    store: Store, robot: RobotId, given: SealingPolicy | None
+) -> tuple[Sealer | None, tuple[Retention, ...]]:
+    """Return who seals a robot's log, None when nobody may read it; and how long that is kept.
+
+    Args:
+        store: the robot's.
+        robot: whose log it is.
+        given: of the gate's configuration; None: what the last gate had goes on.
+
+    Raises:
+        StoreError: what the store holds is no policy.
+    """
+    policy = policy_of(store, given)
+    return (Sealer(robot, policy) if policy.readers else None), policy.retention

@@ -23,61 +23,33 @@ from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
+from authguard_r.store.cells import blob, cells, first_row, held_value, store_error
+from authguard_r.store.folder import Folder
+from authguard_r.store.layout import (
+    ALONE,
+    APPLICATION_ID,
+    FORMAT,
+    erase,
+    prepare,
+    require_format,
+)
 from authguard_r.store.reserve import Reserve
-from authguard_r.store.turn import SqliteTurn, blob, first_row
+from authguard_r.store.segments import (
+    FORGET,
+    Segment,
+    Segments,
+    read_forgets,
+    read_index,
+)
+from authguard_r.store.turn import SqliteTurn
 
 T = TypeVar("T")
 
-#: Marks the file as ours ("AGR1") and says which layout it has.
-APPLICATION_ID = 0x41475231
-FORMAT = 1
 #: First SQLite without the WAL-reset corruption bug.
 _OLDEST_SQLITE = (3, 51, 3)
 _MAX_BATCH = 64
-
-_SCHEMA = """
-CREATE TABLE held (
-  kind TEXT NOT NULL, key TEXT NOT NULL, value BLOB NOT NULL, PRIMARY KEY (kind, key)
-) STRICT, WITHOUT ROWID;
-CREATE TABLE audit (
-  seq INTEGER PRIMARY KEY, record BLOB NOT NULL, sealed BLOB NOT NULL, link BLOB NOT NULL
-) STRICT;
-CREATE TRIGGER audit_no_gap BEFORE INSERT ON audit
-WHEN NEW.seq IS NOT (SELECT coalesce(max(seq) + 1, 0) FROM audit)
-BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
-CREATE TRIGGER audit_no_delete BEFORE DELETE ON audit
-BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
-"""
-#: Sealed values may go, each as a whole; nothing else ever changes.
-_ONLY_FORGETS = """
-DROP TRIGGER IF EXISTS audit_no_update;
-CREATE TRIGGER IF NOT EXISTS audit_only_forgets BEFORE UPDATE ON audit
-WHEN NEW.seq IS NOT OLD.seq OR NEW.record IS NOT OLD.record OR NEW.link IS NOT OLD.link OR EXISTS (
-  SELECT key, value FROM json_each(CAST(NEW.sealed AS TEXT))
-  EXCEPT SELECT key, value FROM json_each(CAST(OLD.sealed AS TEXT))
-)
-BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END;
-"""
-
-_REASONS: tuple[tuple[type[Exception], Reason, str], ...] = (
-    (apsw.FullError, Reason.STORE_FULL, "the disk is full"),
-    (apsw.ReadOnlyError, Reason.STORE_READ_ONLY, "the store is read-only"),
-    (apsw.CorruptError, Reason.STORE_CORRUPT, "the store is corrupt"),
-    (UnicodeDecodeError, Reason.STORE_CORRUPT, "the store is corrupt"),
-    (apsw.NotADBError, Reason.STORE_CORRUPT, "the file is no store"),
-    (apsw.SQLError, Reason.STORE_CORRUPT, "the store is corrupt"),
-    (apsw.ConstraintError, Reason.STORE_CORRUPT, "the store is corrupt"),
-    (
-        apsw.BusyError,
-        Reason.STORE_UNAVAILABLE,
-        "another process holds the store (is a gate running?)",
-    ),
-    (
-        apsw.LockedError,
-        Reason.STORE_UNAVAILABLE,
-        "another process holds the store (is a gate running?)",
-    ),
-)
+#: Rows of a segment that are read at a time.
+_PAGE = 256
 
 
 class _Ticket(Generic[T]):
@@ -102,14 +74,19 @@ class _Ticket(Generic[T]):
 class SqliteStore:
     """Registry and audit log of one robot in one file (`core.ports.Store`)."""
 
-    def __init__(self, connection: apsw.Connection, reserve: Reserve) -> None:
+    def __init__(self, connection: apsw.Connection, reserve: Reserve, segments: Segments) -> None:
         self._connection = connection
         self._reserve = reserve
+        #: The log's oldest records; for whoever moves them, under `upkeep`.
+        self.segments = segments
         self._execute = connection.cursor().execute
         self._closed = False
         self._lock = threading.Lock()
         self._pending: deque[_Ticket[object]] = deque()
-        self._turn = SqliteTurn(connection, *_read_head(connection))
+        size, link = _read_head(connection)
+        self._turn = SqliteTurn(connection, segments, size=size, link=link)
+        if self._turn.waiting():  # a crash came between
+            self._erase()
 
     def run(self, job: Callable[[Turn], T], *, essential: bool = False) -> T:
         """Run the job in the writer's turn; returns after its effects are on disk.
@@ -146,6 +123,32 @@ class SqliteStore:
                 if self._turn.changes:
                     self._turn.drop(before)
 
+    def upkeep(self, work: Callable[[apsw.Connection], T]) -> T:
+        """Run work of the store's own, in a transaction of its own, between the turns.
+
+        Args:
+            work: does not end the transaction.
+
+        Raises:
+            StoreError: nothing was committed; the disk may have room for what must be written
+                alone.
+        """
+        with self._lock:
+            before = self._turn.head()
+            try:
+                self._require_open()
+                self._require_reserve()
+                self._execute("BEGIN IMMEDIATE")
+                result = work(self._connection)
+                self._execute("COMMIT")
+            except BaseException as error:
+                self._roll_back(before)
+                if isinstance(error, apsw.Error):
+                    raise store_error(error) from error
+                raise
+            self._turn.reread()
+            return result
+
     def restore(self) -> bool:
         """Allocate the reserve again if it is gone; True while there is room beside it."""
         return self._reserve.restore()
@@ -154,6 +157,7 @@ class SqliteStore:
         """Let go of the file; the reserve stays for the next start."""
         with self._lock:
             self._closed = True
+            self.segments.close()
             self._connection.close()
 
     def _commit_batch(self) -> None:
@@ -194,8 +198,16 @@ class SqliteStore:
             self._erase()
 
     def _erase(self) -> None:
-        """Leave nothing in the write-ahead log of what was let go of; else with the next commit."""
-        self._turn.has_traces = not _erase(self._connection)
+        """Leave nothing in any file of what was let go of; else with the next commit."""
+        done = False
+        with suppress(StoreError, apsw.Error):
+            left = self._turn.waiting()
+            if left:
+                self.segments.forget(left)
+                self._execute("DELETE FROM held WHERE kind = ?", (FORGET,))
+                self._turn.reread()
+            done = True
+        self._turn.has_traces = not (erase(self._connection) and done)
 
     def _run_one(self, ticket: _Ticket[object]) -> None:
         """Run one job; its own mistake undoes it alone, the store's fault undoes the batch."""
@@ -218,7 +230,11 @@ class SqliteStore:
 
     def _require_room(self, ticket: _Ticket[object]) -> None:
         """Keep what the reserve left for essential jobs."""
-        if self._reserve.is_gone and self._turn.changes and not ticket.essential:
+        if self._turn.changes and not ticket.essential:
+            self._require_reserve()
+
+    def _require_reserve(self) -> None:
+        if self._reserve.is_gone:
             raise StoreError(
                 "the disk is full: what is left is kept for outcomes, stops and management",
                 where="store",
@@ -237,7 +253,9 @@ class SqliteStore:
             pass
 
 
-def open_store(path: Path, *, reserve_bytes: int = 0, vfs: str | None = None) -> SqliteStore:
+def open_store(
+    path: Path, *, reserve_bytes: int = 0, vfs: str | None = None, folder: Folder | None = None
+) -> SqliteStore:
     """Return the store in the file, made anew when there is none.
 
     Args:
@@ -245,10 +263,11 @@ def open_store(path: Path, *, reserve_bytes: int = 0, vfs: str | None = None) ->
         reserve_bytes: disk space kept beside the file for essential jobs; 0 keeps none. When it
             cannot be had, only essential jobs write until it can.
         vfs: name of an SQLite file system, for tests that cut the power.
+        folder: of its segments; None: beside it.
 
     Raises:
         EnvironmentFault: SQLite is too old to be trusted with a WAL.
-        StoreError: locked, read-only, corrupt, newer, or not ours.
+        StoreError: locked, read-only, corrupt, newer, or not ours; or a segment of it is.
     """
     version = tuple(int(part) for part in apsw.sqlite_lib_version().split("."))
     if version < _OLDEST_SQLITE:  # pragma: no cover - apsw's wheel brings its own
@@ -263,9 +282,10 @@ def open_store(path: Path, *, reserve_bytes: int = 0, vfs: str | None = None) ->
     try:
         connection = apsw.Connection(str(path), vfs=vfs)
         try:
-            _prepare(connection, path)
-            # after the lock: the ballast is its holder's
-            return SqliteStore(connection, Reserve(path, reserve_bytes))
+            prepare(connection, path)
+            # after the lock: the folder and the ballast are its holder's
+            segments = _segments(connection, folder or Folder(path), vfs=vfs)
+            return SqliteStore(connection, Reserve(path, reserve_bytes), segments)
         except BaseException:
             connection.close()
             raise
@@ -277,15 +297,24 @@ def read_rows(path: Path) -> Iterator[Row]:
     """Yield the log's rows in order, from a file that nobody needs to trust.
 
     Raises:
-        StoreError: no store, corrupt, newer, or held by a running gate.
+        StoreError: no store, corrupt, newer, or held by a running gate; or a segment of it is
+            missing, another one's or damaged.
     """
     if not path.is_file():
         raise StoreError("there is no such store", where=str(path))
     try:
         connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
         try:
-            _require_format(connection, path)
-            rows = connection.execute("SELECT seq, record, sealed, link FROM audit ORDER BY seq")
+            require_format(connection, path)
+            folder = Folder(path)
+            segments = Segments(folder, _index(connection, folder))
+            yield from _moved_rows(connection, segments)
+            # all of them where nothing was moved: what has no business here is seen, too
+            known = "WHERE seq >= ?" if segments.end else ""
+            rows = connection.execute(
+                f"SELECT seq, record, sealed, link FROM audit {known} ORDER BY seq",  # noqa: S608
+                (segments.end,) if known else (),
+            )
             for seq, record, sealed, link in rows:
                 yield Row(seq, blob(record), blob(sealed), blob(link))
         finally:
@@ -305,72 +334,72 @@ def read_held(path: Path, kind: str, key: str) -> bytes | None:
     try:
         connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
         try:
-            _require_format(connection, path)
-            return SqliteTurn(connection, 0, GENESIS).get(kind, key)
+            require_format(connection, path)
+            return held_value(connection, kind, key)
         finally:
             connection.close()
     except apsw.Error as error:
         raise store_error(error, where=str(path)) from error
 
 
-def store_error(error: apsw.Error | UnicodeDecodeError, *, where: str = "store") -> StoreError:
-    """Return our word for SQLite's; text that is no text is a damaged cell."""
-    for kind, reason, message in _REASONS:
-        if isinstance(error, kind):
-            return StoreError(f"{message}: {error}", reason=reason, where=where)
-    return StoreError(str(error) or type(error).__name__, where=where)
+def _moved_rows(connection: apsw.Connection, segments: Segments) -> Iterator[Row]:
+    """Yield the rows that lie in segments, a page at a time."""
+    if not segments.end:
+        return
+    left = read_forgets(connection)
+    try:
+        _require_copies(connection, segments)
+        for first in range(0, segments.end, _PAGE):
+            for seq, record, sealed, link in segments.rows(first, min(first + _PAGE, segments.end)):
+                yield Row(seq, record, left.get(seq, sealed), link)
+    finally:
+        segments.close()
 
 
-def _prepare(connection: apsw.Connection, path: Path) -> None:
-    connection.set_busy_timeout(0)
-    if connection.readonly("main"):
-        raise apsw.ReadOnlyError("it was opened without the right to write")
-    # before the first page is read, so that the index of the WAL is never in shared memory
-    connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
-    # looked at before anything is written: what is not ours is left alone
-    if not _is_empty(connection):
-        _require_format(connection, path)
-    connection.execute("PRAGMA journal_mode = WAL").fetchall()
-    connection.execute("PRAGMA synchronous = FULL")
-    _erase(connection)  # after a crash, of what may have been let go of before it
-    # taking the exclusive lock now, not at the first decision
-    connection.execute("BEGIN IMMEDIATE")
-    if _is_empty(connection):  # again: now nobody else can make it
-        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        connection.execute(f"PRAGMA user_version = {FORMAT}")
-        connection.execute(_SCHEMA)
-    connection.execute(_ONLY_FORGETS)  # a store of before has a stricter rule
-    connection.execute("COMMIT")
+def _require_copies(connection: apsw.Connection, segments: Segments) -> None:
+    """Refuse a row that was put where rows are that a move has not taken away yet.
+
+    Raises:
+        StoreError: it is not the segment's own.
+    """
+    rows = connection.execute(
+        "SELECT seq, record, link FROM audit WHERE seq < ? ORDER BY seq", (segments.end,)
+    )
+    for seq, record, link in rows:
+        moved = segments.rows(seq, seq + 1)
+        if [(row[1], row[3]) for row in moved] != [(record, link)]:
+            raise StoreError(
+                "a record lies here that is not the one in its segment",
+                where=f"record {seq}",
+                reason=Reason.STORE_CORRUPT,
+            )
 
 
-def _erase(connection: apsw.Connection) -> bool:
-    """Empty the write-ahead log; False when that cannot be done now. Commits stand either way."""
-    with suppress(apsw.Error):
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-        return True
-    return False
+def _index(connection: apsw.Connection, folder: Folder) -> tuple[Segment, ...]:
+    """Return which segments there are; a store that has none needs no word of `held` for it."""
+    alone = connection.execute("PRAGMA user_version").get == ALONE
+    return () if alone else read_index(connection, folder)
 
 
-def _is_empty(connection: apsw.Connection) -> bool:
-    """True for a file that nobody has used for anything."""
-    marks = ("application_id", "user_version", "schema_version")
-    return all(connection.execute(f"PRAGMA {mark}").get == 0 for mark in marks)
+def _segments(connection: apsw.Connection, folder: Folder, *, vfs: str | None) -> Segments:
+    """Return a store's segments, once each was looked at and what a crash left is gone.
 
+    Raises:
+        StoreError: one is missing, another's, damaged, or does not join.
+    """
 
-def _require_format(connection: apsw.Connection, path: Path) -> None:
-    connection.set_busy_timeout(0)
-    application = connection.execute("PRAGMA application_id").get
-    version = connection.execute("PRAGMA user_version").get
-    if application != APPLICATION_ID:
-        raise StoreError("the file is no store", where=str(path), reason=Reason.STORE_CORRUPT)
-    if version > FORMAT:
-        raise StoreError(
-            f"expected format {FORMAT}, got {version}: it was written by a newer program",
-            where=str(path),
-            reason=Reason.STORE_NEWER,
-        )
+    def link_of(seq: int) -> bytes | None:
+        return next((row[3] for row in cells(connection, seq, seq + 1)), None)
+
+    segments = Segments(folder, _index(connection, folder), vfs=vfs)
+    segments.require()
+    segments.settle(link_of)
+    return segments
 
 
 def _read_head(connection: apsw.Connection) -> tuple[int, bytes]:
     row = first_row(connection, "SELECT seq, link FROM audit ORDER BY seq DESC LIMIT 1", ())
     return (0, GENESIS) if row is None else (row[0] + 1, blob(row[1]))
+
+
+__all__ = ["APPLICATION_ID", "FORMAT", "SqliteStore", "open_store", "read_held", "read_rows"]

@@ -7,11 +7,12 @@ Spec page: docs/spec/store.md
 from __future__ import annotations
 
 from collections.abc import Container
-from typing import Any
 
 import apsw
 
 from authguard_r.audit.record import without
+from authguard_r.store.cells import cells, held_value
+from authguard_r.store.segments import FORGET, Segments, read_forgets
 
 #: Held values that are remembered beside the file.
 _MOST_KNOWN = 64
@@ -24,8 +25,11 @@ class SqliteTurn:
     that fails has written nothing, and needs no savepoint to undo it.
     """
 
-    def __init__(self, connection: apsw.Connection, size: int, link: bytes) -> None:
+    def __init__(
+        self, connection: apsw.Connection, segments: Segments, *, size: int, link: bytes
+    ) -> None:
         self._connection = connection
+        self._segments = segments
         self._many = connection.cursor().executemany
         self.size = size
         self.link = link
@@ -64,13 +68,23 @@ class SqliteTurn:
         self._puts, self._rows, self._forgets = {}, [], {}
 
     def _let_go(self) -> None:
-        """Write what stays of sealed values, with zeros over what was in its place."""
+        """Write what stays of sealed values, with zeros over what was in its place.
+
+        What lies in a segment is written there once this is committed; until then it is held.
+        """
         self._connection.execute("PRAGMA secure_delete = ON")
         self.has_traces = True
+        for seq, left in self._forgets.items():
+            if seq < self._segments.reach:
+                self._puts[FORGET, str(seq)] = left
         self._many(
             "UPDATE audit SET sealed = ? WHERE seq = ?",
             [(sealed, seq) for seq, sealed in self._forgets.items()],
         )
+
+    def waiting(self) -> dict[int, bytes]:
+        """Return what stays beside records in segments that values are still to go from."""
+        return read_forgets(self._connection) if self._segments.reach else {}
 
     def drop(self, head: tuple[int, bytes]) -> None:
         """Forget what the job put and appended; none of it was written."""
@@ -87,9 +101,7 @@ class SqliteTurn:
         if place in self._puts:
             return self._puts[place]
         if place not in self._known:
-            query = "SELECT value FROM held WHERE kind = ? AND key = ?"
-            row = first_row(self._connection, query, place)
-            self._know(place, None if row is None else blob(row[0]))
+            self._know(place, held_value(self._connection, kind, key))
         return self._known[place]
 
     def put(self, kind: str, key: str, value: bytes) -> None:
@@ -118,39 +130,15 @@ class SqliteTurn:
         # clamped here: a number that a client chose may not fit into a column
         end = min(max(first + count, 0), self.size)
         first = min(max(first, 0), end)
-        written = _cells(self._connection, first, end)
-        every = (*written, *(row for row in self._rows if first <= row[0] < end))
-        left = self._forgets
+        mark, left = self._segments.end, self._forgets
+        sealed = self._segments.rows(first, min(end, mark)) if first < mark else []
+        if sealed:
+            left = {**self.waiting(), **left}
+        written = cells(self._connection, max(first, mark), end)
+        every = (*sealed, *written, *(row for row in self._rows if first <= row[0] < end))
         return tuple((r[0], r[1], left[r[0]], r[3]) if r[0] in left else r for r in every)
 
     def forget(self, seq: int, names: Container[str]) -> None:
         """Let values beside a record go: in this file, with the commit, and nowhere else."""
         for row in self.rows(seq, 1):
             self._forgets[seq] = without(row[2], names, where=f"store.audit.{seq}")
-
-
-def first_row(connection: apsw.Connection, query: str, values: tuple[str, ...]) -> Any:
-    """Return the first row, or None; text that is no text is a damaged cell."""
-    try:
-        return connection.execute(query, values).fetchone()
-    except UnicodeDecodeError as error:
-        raise apsw.CorruptError("expected bytes, got broken text") from error
-
-
-def _cells(
-    connection: apsw.Connection, first: int, end: int
-) -> list[tuple[int, bytes, bytes, bytes]]:
-    """Return the log's rows from `first` to before `end`."""
-    query = "SELECT seq, record, sealed, link FROM audit WHERE seq >= ? AND seq < ? ORDER BY seq"
-    try:
-        found: Any = connection.execute(query, (first, end)).fetchall()
-    except UnicodeDecodeError as error:
-        raise apsw.CorruptError("expected bytes, got broken text") from error
-    return [(seq, blob(record), blob(sealed), blob(link)) for seq, record, sealed, link in found]
-
-
-def blob(cell: object) -> bytes:
-    """Return a cell's bytes; a strict table holds nothing else, a damaged one may."""
-    if isinstance(cell, bytes):
-        return cell
-    raise apsw.CorruptError(f"expected bytes, got {type(cell).__name__}")

@@ -22,8 +22,9 @@ from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
 from authguard_r.core.ports import Turn
 from authguard_r.ledger import Act
-from authguard_r.sealing import KeyRing, Sealer, SealingPolicy, policy_of
-from authguard_r.sealing.kept import HELD, newest_keys
+from authguard_r.sealing import KeyRing, SealingPolicy
+from authguard_r.sealing.kept import HELD, newest_keys, policy_of
+from authguard_r.sealing.sealer import Sealer
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
 

@@ -54,6 +54,7 @@ class Code(StrEnum):
     SHADOW = "SHADOW"
     DISCLOSURE = "DISCLOSURE"
     SILENT = "SILENT"
+    READERS = "READERS"
     SITE = "SITE"
     BINDING = "BINDING"
     UNMAPPED = "UNMAPPED"

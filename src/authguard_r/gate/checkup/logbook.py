@@ -41,7 +41,9 @@ def store_advice(path: Path, now: Now, *, uid: int, deep: bool) -> Iterator[Advi
         mend = f"if there should be one, name it in the place of {path}"
         yield warning("store", Code.STORE, message, place=str(path), mend=mend)
         return
-    for file in (path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
+    beside = (path.with_name(f"{path.name}{end}") for end in ("-wal", "-shm"))
+    segments = path.with_name(f"{path.name}.segments").glob("*.db")
+    for file in (path, *beside, *sorted(segments)):
         if file.exists():
             yield from file_advice("store", file, uid=uid, secret=True)
     try:

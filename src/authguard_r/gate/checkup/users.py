@@ -124,6 +124,20 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
                 place=f"gate.{field}",
                 mend="sign a configuration with a bound",
             )
+    yield from _reader_advice(config)
+
+
+def _reader_advice(config: GateConfig) -> Iterator[Advice]:
+    """Whether anybody can make the decisions of the log again; what is not sealed, anybody can."""
+    sealed = {data for reader in config.readers for data in reader.classes}
+    if sealed and not any(sealed.issubset(reader.classes) for reader in config.readers):
+        yield warning(
+            "readers",
+            Code.READERS,
+            f"nobody may read all of {', '.join(sorted(sealed))}: nobody can replay this log",
+            place="gate.readers",
+            mend="name a reader of all that is sealed: authguard audit reader",
+        )
 
 
 def _root(place: str, message: str, *, unsafe_too: bool) -> Advice:

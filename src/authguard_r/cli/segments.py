@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard audit segments`: the files that a store's oldest records lie in, each held to a key.
+
+Spec page: docs/spec/store.md#segments
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import apsw
+import typer
+
+from authguard_r.audit.checkpoint import read_checkpoint
+from authguard_r.audit.note import NoteKey, read_key, read_note
+from authguard_r.audit.tree import Frontier, leaf_hash
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.out import emit
+from authguard_r.core.chain import GENESIS
+from authguard_r.core.encoding import b64
+from authguard_r.core.errors import StoreError
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.notes import require_all
+from authguard_r.store.folder import Folder
+from authguard_r.store.segments import MARK, SEGMENT, Found, find, links, name_of
+from authguard_r.store.sqlite import read_held
+
+
+def segments_command(
+    store: Annotated[Path, typer.Argument(metavar="STORE", help="A store; a gate may hold it.")],
+    key: Annotated[
+        list[str] | None,
+        typer.Option("--key", help="The log's verifier key (`audit key`); all that are named sign"),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """List the segments of a store's log: file, records, bytes, and whether its checkpoint holds.
+
+    With --key every segment's checkpoint is held to its signature and to the links of all records
+    up to it. The values in a segment are verified with the whole log, by `audit verify`.
+    """
+    keys = tuple(read_key(text, where="--key") for text in key or ())
+    mark, folder = _mark(store), Folder(store)
+    told = list(_told(folder, keys))
+    end = told[-1]["end"] if told else 0
+    if end < mark:
+        text = f"the segment with record {end} is missing: the store has moved {mark} records"
+        raise StoreError(text, where=folder.place(name_of(end)), reason=Reason.STORE_CORRUPT)
+    emit({"store": str(store), "segments": told}, _lines(told), as_json=as_json)
+    return 0
+
+
+def _mark(store: Path) -> int:
+    """Return how many records the store has moved; 0 while a gate holds it and nobody can look.
+
+    Raises:
+        StoreError: it cannot be read.
+    """
+    try:
+        return int(read_held(store, SEGMENT, MARK) or b"0")
+    except StoreError as error:
+        if isinstance(error.__cause__, apsw.BusyError | apsw.LockedError):
+            return 0
+        raise
+
+
+def _told(folder: Folder, keys: tuple[NoteKey, ...]) -> Iterator[dict[str, Any]]:
+    """Yield what is told of each segment, in order.
+
+    Raises:
+        StoreError: one is missing, damaged, or does not join the one before.
+        AuthenticityError: a checkpoint is not signed with the keys.
+    """
+    end, head, tree = 0, b64(GENESIS), Frontier()
+    for name in folder.names():
+        if not name.endswith(".db"):
+            continue
+        found = find(folder, name)
+        segment = found.segment
+        if (segment.first, segment.before) != (end, head):
+            text = f"expected the segment that begins with record {end}, `{name_of(end)}`"
+            raise StoreError(text, where=folder.place(name), reason=Reason.STORE_CORRUPT)
+        if keys:
+            tree = tree.grown(map(leaf_hash, links(folder, name)))
+            _require_signed(found, tree, keys, where=folder.place(name))
+        end, head = segment.end, segment.head
+        yield {
+            "file": folder.place(name),
+            "first": segment.first,
+            "end": segment.end,
+            "bytes": folder.size(name),
+            "verified": bool(keys),
+        }
+
+
+def _require_signed(found: Found, tree: Frontier, keys: tuple[NoteKey, ...], *, where: str) -> None:
+    note = read_note(found.note, where=where)
+    origin = read_checkpoint(note.text, where=where).origin
+    said = require_all(note, tuple(one for one in keys if one.name == origin) or keys, where=where)
+    if (said.size, said.root) != (tree.size, tree.root()):
+        text = "its records are not those of its checkpoint"
+        raise StoreError(text, where=where, reason=Reason.STORE_CORRUPT)
+
+
+def _lines(told: list[dict[str, Any]]) -> Iterator[str]:
+    if not told:
+        yield "no segments: every record is in the store itself"
+    for one in told:
+        held = "checkpoint holds" if one["verified"] else "checkpoint not verified: name --key"
+        records = f"records {one['first']} to {one['end'] - 1}, {one['bytes']:,} bytes"
+        yield f"{one['file']}: {records}, {held}"

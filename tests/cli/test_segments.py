@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`audit growth` and `audit segments`; and every other reader of a log that was rotated."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import apsw
+import pytest
+
+import worlds
+from authguard_r.anchoring.checkpoints import Checkpoints
+from authguard_r.anchoring.rotation import Rotation, RotationPolicy
+from authguard_r.assembly import folder_signer
+from authguard_r.cli import call
+from authguard_r.gate.checkup.advice import Code
+from authguard_r.gate.checkup.logbook import store_advice
+from authguard_r.store.segments import name_of
+from authguard_r.store.sqlite import SqliteStore, open_store
+from conformance.test_vectors_log import NODE, VERIFIER, needs_node
+from segmenting import fill
+from witnesses import log_keys
+
+GO = worlds.navigate("dock", "pharmacy")
+SCAN = "scan_obstacles"
+#: Records of the log, its first segment's end, and the end of the second.
+SIZE, FIRST, SECOND = 1_899, 1_024, 1_536
+KEY = ("--key", log_keys()[0].text())
+
+
+def made(path: Path) -> None:
+    """Write a gate's log of missions, stops and much else, and move what is old of it."""
+    sim = worlds.simulation(store=path)
+    sim.gate.management.activate(worlds.token())
+    worlds.propose(sim, GO)
+    store = sim.gate.ledger.store
+    assert isinstance(store, SqliteStore)
+    signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
+    checkpoints = Checkpoints(sim.gate.ledger, robot=worlds.RID, signer=signer)
+    fill(store, SIZE - 1 - store.read(lambda turn: turn.head())[0])
+    checkpoints.make()
+    rotation = Rotation(
+        sim.gate.ledger,
+        store,
+        robot=worlds.RID,
+        signer=signer,
+        policy=RotationPolicy(records=1_024),
+    )
+    while store.segments.end < FIRST:
+        rotation.tick()
+    for _ in range(9):
+        rotation.tick()
+    worlds.propose(sim, GO)
+    rotation._policy = RotationPolicy(records=512)
+    while store.segments.end < SECOND:
+        rotation.tick()
+    sim.gate.close()
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rotated") / "robot.db"
+    made(path)
+    return path
+
+
+@pytest.fixture
+def log(kept: Path, tmp_path: Path) -> Path:
+    """A copy of the rotated log, to be spoiled."""
+    shutil.copytree(kept.parent, tmp_path / "copy")
+    return tmp_path / "copy" / kept.name
+
+
+def segment(log: Path, first: int) -> Path:
+    return log.with_name(f"{log.name}.segments") / name_of(first)
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str]:
+    capsys.readouterr()
+    code = call(["audit", *map(str, words)])
+    out, err = capsys.readouterr()
+    return code, out + err
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
+    code, out = said(capsys, *words, "--json")
+    return code, json.loads(out)
+
+
+# every reader
+
+
+def test_verify_reads_one_log_over_segments_and_store(
+    kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = told(capsys, "verify", kept, *KEY)
+    assert (code, found["whole"], found["size"]) == (0, True, SIZE)
+    assert found["anchored"] == "checkpoint"
+
+
+@needs_node
+def test_an_export_of_a_rotated_log_is_whole_to_a_stranger(
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "log.jsonl"
+    assert said(capsys, "export", kept, "--out", out)[0] == 0
+    assert told(capsys, "verify", out, *KEY)[1]["size"] == SIZE
+    assert NODE is not None
+    done = subprocess.run(
+        [NODE, str(VERIFIER), str(out), *KEY], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"{SIZE} records" in done.stdout
+
+
+def test_show_explain_replay_and_prompts_begin_in_the_first_segment(
+    kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, shown = told(capsys, "show", kept, "--kind", "decision")
+    numbers = [record["seq"] for record in shown["records"]]
+    assert numbers[0] < FIRST
+    assert numbers[-1] >= SECOND
+    assert told(capsys, "explain", kept, numbers[0])[0] == 0
+    code, replayed = told(capsys, "replay", kept)
+    assert (code, replayed["whole"], replayed["agree"]) == (0, True, len(numbers))
+    assert told(capsys, "prompts", kept)[1]["missions"] == 1
+
+
+# growth
+
+
+def test_growth_is_told_for_each_mission_and_adds_up(
+    kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = told(capsys, "growth", kept)
+    none, mission = found["missions"]
+    assert code == 0
+    assert (none["mission"], mission["mission"]) == ("-", worlds.mission().mid)
+    assert found["told_by"] is None
+    for name in ("records", "decisions", "bytes"):
+        assert found[name] == none[name] + mission[name]
+    assert (found["records"], found["share"]) == (SIZE, 1.0)
+    assert (none["decisions"], none["bytes_per_decision"]) == (0, None)
+    each = round(mission["bytes"] / mission["decisions"])
+    assert (mission["decisions"], mission["bytes_per_decision"]) == (2, each)
+
+
+def test_growth_of_an_export_is_that_of_its_store(
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "log.jsonl"
+    said(capsys, "export", kept, "--out", out)
+    assert told(capsys, "growth", out) == told(capsys, "growth", kept)
+
+
+def test_growth_is_a_table_for_people(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, text = said(capsys, "growth", kept)
+    head, *rows = text.splitlines()
+    assert head.split() == ["mission", "records", "decisions", "bytes", "bytes/decision", "share"]
+    assert [row.split()[0] for row in rows] == ["-", worlds.mission().mid, "all"]
+    assert rows[-1].split()[1] == f"{SIZE:,}"
+    assert rows[-1].endswith("100.0%")
+    assert len({len(row) for row in (head, *rows)}) == 1
+
+
+def test_a_log_of_nothing_has_grown_by_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty.db"
+    open_store(empty).close()
+    code, found = told(capsys, "growth", empty)
+    assert (code, found["missions"], found["share"]) == (0, [], 0.0)
+
+
+# segments
+
+
+def test_each_segment_is_listed_and_held_to_the_key(
+    kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = told(capsys, "segments", kept, *KEY)
+    files = [segment(kept, first) for first in (0, FIRST)]
+    assert code == 0
+    assert found["segments"] == [
+        {
+            "file": str(file),
+            "first": first,
+            "end": end,
+            "bytes": file.stat().st_size,
+            "verified": True,
+        }
+        for file, first, end in zip(files, (0, FIRST), (FIRST, SECOND), strict=True)
+    ]
+    _, text = said(capsys, "segments", kept)
+    assert text.count("not verified") == 2
+    assert f"{files[1]}: records {FIRST} to {SECOND - 1}, " in text
+    assert said(capsys, "segments", kept, *KEY)[1].count("checkpoint holds") == 2
+
+
+def test_a_store_without_segments_has_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.db"
+    worlds.simulation(store=path).gate.close()
+    assert said(capsys, "segments", path) == (
+        0,
+        "no segments: every record is in the store itself\n",
+    )
+    assert said(capsys, "segments", tmp_path / "nothing.db")[0] == 5
+
+
+def test_a_store_that_a_gate_holds_has_its_segments_listed(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sim = worlds.simulation(store=log)
+    assert len(told(capsys, "segments", log)[1]["segments"]) == 2
+    sim.gate.close()
+
+
+@pytest.mark.parametrize("first", [0, FIRST])
+def test_a_segment_that_is_gone_is_named(
+    log: Path, capsys: pytest.CaptureFixture[str], first: int
+) -> None:
+    segment(log, first).unlink()
+    for words in (("segments", log), ("verify", log), ("growth", log)):
+        code, text = said(capsys, *words)
+        assert code in {4, 5}
+        assert name_of(first) in text
+
+
+def test_a_segment_whose_links_were_changed_is_not_its_checkpoints(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    connection = apsw.Connection(str(segment(log, FIRST)))
+    connection.execute("DROP TRIGGER audit_only_forgets")
+    connection.execute("UPDATE audit SET link = zeroblob(32) WHERE seq = 1100")
+    connection.close()
+    assert said(capsys, "segments", log)[0] == 0
+    code, text = said(capsys, "segments", log, *KEY)
+    assert code == 5
+    assert "not those of its checkpoint" in text
+    assert str(segment(log, FIRST)) in text
+    assert "record 1100" in said(capsys, "verify", log)[1]
+
+
+def test_a_segment_that_another_key_signed_is_refused(
+    kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    key = log_keys()[0]
+    forged = type(key)("authguard-r/another/audit", key.kind, key.public)
+    code, text = said(capsys, "segments", kept, "--key", forged.text())
+    assert code == 4
+    assert "SIGNATURE_MISSING" in text
+
+
+def test_a_segment_that_others_read_is_said(log: Path) -> None:
+    segment(log, FIRST).chmod(0o644)
+    found = store_advice(log, worlds.NOW, uid=os.geteuid(), deep=True)
+    places = [one.place for one in found if one.code is Code.READABLE]
+    assert str(segment(log, FIRST)) in places
+    assert str(segment(log, 0)) not in places
+
+
+def test_a_file_that_is_none_and_links_that_are_none_are_named(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (segment(log, 0).parent / "notes.txt").write_text("not a segment's")
+    assert said(capsys, "segments", log)[0] == 0
+    connection = apsw.Connection(str(segment(log, FIRST)))
+    connection.execute(
+        "ALTER TABLE audit RENAME TO old; "
+        "CREATE TABLE audit (seq INTEGER PRIMARY KEY, record, sealed, link); "
+        "INSERT INTO audit SELECT * FROM old; UPDATE audit SET link = 7 WHERE seq = 1100"
+    )
+    connection.close()
+    assert said(capsys, "segments", log, *KEY)[0] == 5
+    segment(log, FIRST).write_bytes(b"no segment")
+    code, text = said(capsys, "segments", log)
+    assert code == 5
+    assert name_of(FIRST) in text
