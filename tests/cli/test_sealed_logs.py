@@ -39,7 +39,8 @@ from authguard_r.cli import call
 from authguard_r.cli.exported import row_line
 from authguard_r.core.encoding import encode_fast
 from authguard_r.keys.readers import new_reader, read_reader
-from authguard_r.sealing import Reader, Sealer, SealingPolicy
+from authguard_r.sealing import Reader, SealingPolicy
+from authguard_r.sealing.sealer import Sealer
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole
 from gates import RunningGate
@@ -504,7 +505,7 @@ def test_what_was_destroyed_is_said_to_be_whoever_asks(
     path, key = written(tmp_path / "log.jsonl", rows), world.key(who)
     seq = world.seq("decision", "accept", 1)
     _, text = say("audit", "show", path, "--from", seq, "--to", seq, *key)
-    gone = "[destroyed: evidence, object, parameter, person, region]\n"
+    gone = "[destroyed: object]\n"
     assert text.endswith(gone)
     assert ("at pharmacy force_mn=12000" in text) == (who == "auditor")
     assert ("[sealed: " in text) == (who == "nobody")

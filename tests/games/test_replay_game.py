@@ -453,7 +453,7 @@ CONTROLS: dict[str, tuple[Callable[[], Any], str]] = {
     "the registry": (no_registry, "mission"),
     "the last snapshot": (no_last_snapshot, "snapshot"),
     "uses": (lambda: without("check_uses"), "action"),
-    "keys": (lambda: patch.object(proposals_module, "_told", lambda *_: None), "key"),
+    "keys": (lambda: patch.object(proposals_module.Proposals, "_told", lambda *_: None), "key"),
 }
 
 

@@ -263,8 +263,8 @@ def _told(record: Record, values: dict[str, Sealed]) -> Record:
         except msgspec.ValidationError as error:
             raise MalformedError(str(error), where=f"record {link.seq}: {LINKS}") from error
         salted = {
-            "action": NONE if links.action == NONE else record.committed[LINKS],
-            "state": NONE if links.state == NONE else record.committed[LINKS],
+            "action": NONE if links.action == NONE else record.committed.get(LINKS),
+            "state": NONE if links.state == NONE else record.committed.get(LINKS),
         }
         if (link.action, link.state) != (salted["action"], salted["state"]):
             text = "expected the link to be the commitment to both digests"

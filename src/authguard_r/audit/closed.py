@@ -26,7 +26,8 @@ class Closed(Struct, frozen=True, kw_only=True):
 
     Args:
         sealed: the classes whose keys the reader lacks.
-        destroyed: the classes that went, and those that were sealed together with them.
+        destroyed: the classes that went; those that were sealed together with them where it is
+            not known which of them went.
         boxes: the classes of each box, and whether it was destroyed.
         fields: what the record commits to, and is not told.
     """
@@ -68,7 +69,11 @@ class Closed(Struct, frozen=True, kw_only=True):
 
 
 def closed_of(
-    record: Record, names: Container[str], *, has: AbstractSet[str] = frozenset()
+    record: Record,
+    names: Container[str],
+    *,
+    has: AbstractSet[str] = frozenset(),
+    lost: AbstractSet[str] = frozenset(),
 ) -> Closed:
     """Return what of a record is closed.
 
@@ -76,14 +81,16 @@ def closed_of(
         record: as it was opened, as far as that went.
         names: of what lies beside it then.
         has: the classes that the reader has keys of; what is closed is so for lack of another.
+        lost: the classes of its mission of which nobody has keys any more, as far as that is known.
     """
     boxes = {tuple(name.removeprefix(BOX).split("+")): gone for name, gone in _boxes(record, names)}
     wraps = [n for n in record.committed if n.startswith(WRAP) and n not in names]
     lacked = {one for classes, gone in boxes.items() if not gone for one in classes}
     gone = {one for classes, gone in boxes.items() if gone for one in classes}
+    gone = (gone & lost or gone).union(name.removeprefix(WRAP) for name in wraps)
     return Closed(
         sealed=tuple(sorted(lacked - has or lacked)),
-        destroyed=tuple(sorted(gone.union(name.removeprefix(WRAP) for name in wraps))),
+        destroyed=tuple(sorted(gone)),
         boxes=boxes,
         fields=tuple(name for name in record.committed if name not in names),
     )

@@ -8,14 +8,14 @@ log, too: in the record of its activation. Spec page: docs/reference/cli.md
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Container, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import Record, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
@@ -52,7 +52,7 @@ def explain_command(
     how = f"authguard audit explain {store} {seq} --draft FILE"
     opening = opening_of(reader, passphrase_file)
     with reading(store, opening) as log:
-        told = explained(log.rows, seq, how=how, has=opening.has)
+        told = explained(log.rows, seq, how=how, closed=opening.closed)
     lines = [str(line) for line in told["text"]]
     if draft is not None:
         lines.append(write_change(draft, told))
@@ -65,7 +65,7 @@ def explained(
     seq: int | None,
     *,
     how: str | None = None,
-    has: AbstractSet[str] = frozenset(),
+    closed: Callable[[Record, Container[str]], Closed] = closed_of,
 ) -> dict[str, Any]:
     """Return the explanation of a record, read in one pass over the rows before it.
 
@@ -73,7 +73,7 @@ def explained(
         rows: the log, in order; nothing is verified here (`audit verify` does).
         seq: the record; None takes the last refused proposal.
         how: the command that writes the smallest change; None: a running gate's.
-        has: the classes that were opened, once the rows were read.
+        closed: says what of a record stays closed, once the rows up to it were read.
 
     Raises:
         RefusedError: there is no such record.
@@ -98,7 +98,9 @@ def explained(
     row, mission = found
     where = f"record {row.seq}"
     record, sealed = read_record(row.record, where=where), read_sealed(row.sealed, where=where)
-    told = explanation(row.seq, record, sealed, mission=mission, how=how, has=has)
+    told = explanation(
+        row.seq, record, sealed, mission=mission, how=how, closed=closed(record, sealed)
+    )
     if record.kind == "outcome" and _ticket(row) in begun:
         told["text"].append(f"  it is how record {begun[_ticket(row)]} ended")
     return told

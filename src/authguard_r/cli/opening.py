@@ -7,7 +7,7 @@ taken away like what was destroyed. Spec page: docs/spec/sealed-fields.md#readin
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -46,6 +46,7 @@ class Opening:
         self.key = key
         self._ring = None if key is None else KeyRing(key)
         self._gone: set[tuple[int, str]] = set()
+        self._lost: dict[str, set[str]] = {}
         #: The classes of which keys were wrapped for this reader, so far.
         self.has: set[str] = set()
 
@@ -65,14 +66,15 @@ class Opening:
             self._learn(row)
         return self._without_lost(told) if self._gone and BOX.encode() in told.sealed else told
 
-    def closed(self, record: Record, values: Iterable[str]) -> Closed:
+    def closed(self, record: Record, values: Container[str]) -> Closed:
         """Return what of a record stays closed to this reader.
 
         Args:
             record: as it was opened.
             values: the names of what lies beside it then.
         """
-        return closed_of(record, frozenset(values), has=self.has)
+        lost = self._lost.get(record.link.mid, frozenset[str]())
+        return closed_of(record, values, has=self.has, lost=lost)
 
     def _learn(self, row: Row) -> None:
         """Note whose keys a record tells, and which were destroyed."""
@@ -84,6 +86,7 @@ class Opening:
             data = name.removeprefix(WRAP)
             if name not in sealed:
                 self._gone.add((row.seq, data))
+                self._lost.setdefault(record.link.mid, set()).add(data)
             elif self.key is not None:
                 wraps = _converted(sealed[name], list[Wrapped], f"{where}: {name}")
                 if any(wrapped.reader == self.key.public.name for wrapped in wraps):

@@ -8,7 +8,6 @@ signed change needs the mission that the record names. Spec page: docs/reference
 from __future__ import annotations
 
 import os
-from collections.abc import Set as AbstractSet
 from typing import Any
 
 import msgspec
@@ -41,7 +40,7 @@ def explanation(
     *,
     mission: Mission | None,
     how: str | None = None,
-    has: AbstractSet[str] = frozenset(),
+    closed: Closed | None = None,
 ) -> dict[str, Any]:
     """Return what a record says, as data and as lines for people.
 
@@ -51,15 +50,15 @@ def explanation(
         sealed: the values beside it then; what stays closed is said to be.
         mission: the mission that it names, when that is at hand.
         how: the command that writes the smallest change; None: the one for a running gate.
-        has: the classes that whoever reads has keys of.
+        closed: what of it stays closed; None: nothing is known of it but the record.
 
     Raises:
         MalformedError: the values are not what such a record holds: it is damaged.
     """
-    closed = closed_of(record, sealed, has=has)
+    shut = closed_of(record, sealed) if closed is None else closed
     try:
         told = _explained(
-            record, sealed, closed=closed, mission=mission, how=how or _DRAFT.format(seq)
+            record, sealed, closed=shut, mission=mission, how=how or _DRAFT.format(seq)
         )
     except (AttributeError, LookupError, StopIteration, TypeError, ValueError) as error:
         raise MalformedError(

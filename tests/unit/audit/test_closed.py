@@ -50,6 +50,13 @@ def test_a_reader_is_told_the_classes_that_it_lacks() -> None:
     )
 
 
+def test_what_was_sealed_together_with_a_class_that_went_is_not_said_to_be_gone() -> None:
+    made = record("box.evidence+object", "box.object+person", "findings")
+    assert closed_of(made, set()).destroyed == ("evidence", "object", "person")
+    assert closed_of(made, set(), lost={"object", "region"}).destroyed == ("object",)
+    assert closed_of(made, set(), lost={"region"}).destroyed == ("evidence", "object", "person")
+
+
 def test_keys_that_were_destroyed_are_said_of_the_record_that_told_them() -> None:
     made = record("wrap.object", "wrap.region")
     assert closed_of(made, {"wrap.region"}).words() == "[destroyed: object]"
