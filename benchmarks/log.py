@@ -50,12 +50,14 @@ EFFORTS = {
         witness=Effort(blocks=11, calls=50, warm_up=10),
         replay=Effort(blocks=7, calls=1, warm_up=1),
         decisions=400,
+        sealed=Effort(blocks=11, calls=200, warm_up=50),
     ),
     "quick": Efforts(
         checkpoint=Effort(blocks=5, calls=5, warm_up=2),
         witness=Effort(blocks=5, calls=10, warm_up=5),
         replay=Effort(blocks=5, calls=1, warm_up=1),
         decisions=60,
+        sealed=Effort(blocks=5, calls=50, warm_up=20),
     ),
 }
 
@@ -93,8 +95,10 @@ def log(folder: Path, effort: str, records: int | None = None) -> Logged:
     timings |= log_cost.checkpoints(folder, how.checkpoint)
     timings |= log_cost.witness(folder, how.witness)
     timings |= log_cost.replay(folder, how.replay, how.decisions)
+    closed, kept = log_cost.sealed(folder, how.sealed)
+    timings |= closed
     stored = log_cost.storage(folder, folder / "grown.db", found.told["verified"])
-    told = {**found.told, "storage": stored}
+    told = {**found.told, "storage": [*kept, *stored]}
     return Logged(timings, told)
 
 

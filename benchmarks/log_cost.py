@@ -18,6 +18,7 @@ import apsw
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, Checkpoints
 from authguard_r.anchoring.witnesses import cosignature, exchange, request
 from authguard_r.assembly import folder_signer, gate_name
+from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import NoteKey, read_key
 from authguard_r.audit.verify import Row, verify_rows
@@ -25,9 +26,11 @@ from authguard_r.cli.replay import Replay
 from authguard_r.core.standing import Outcome
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.notes import leaf_key, log_key
+from authguard_r.keys.readers import new_reader
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import normalize
 from authguard_r.normalize.context import ContextLedger
+from authguard_r.sealing import Reader
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.witness.desk import make_witness, register
 from authguard_r.witness.server import PATH
@@ -56,12 +59,14 @@ class Efforts(NamedTuple):
         witness: exchanges with the witness.
         replay: replays of the whole short log.
         decisions: decisions in that log.
+        sealed: records with sealed fields, and without.
     """
 
     checkpoint: Effort
     witness: Effort
     replay: Effort
     decisions: int
+    sealed: Effort
 
 
 def checkpoints(folder: Path, effort: Effort) -> dict[str, Timing]:
@@ -108,6 +113,29 @@ def witness(folder: Path, effort: Effort) -> dict[str, Timing]:
     finally:
         insert.close()
         writer.close()
+
+
+def sealed(folder: Path, effort: Effort) -> tuple[dict[str, Timing], list[dict[str, Any]]]:
+    """Time a decision's record in a commit of its own, its fields sealed and not; return its bytes.
+
+    All classes are sealed, for one reader with a key of X25519; more readers cost a mission's first
+    record more, and the others nothing.
+    """
+    reader = Reader(role="auditor", classes=tuple(DataClass), key=new_reader().public.text())
+    writers = {"sealed": Writer(folder / "sealed.db", reader), "plain": Writer(folder / "plain.db")}
+    try:
+        subjects = [
+            Subject(f"log.{name}", timed(writer.append)) for name, writer in writers.items()
+        ]
+        timings = interleave(subjects, effort)
+    finally:
+        for writer in writers.values():
+            writer.close()
+    told = []
+    for name in writers:
+        rows = [r for r in read_rows(folder / f"{name}.db") if b'"kind":"decision"' in r.record]
+        told.append(_spread(f"one decision's record, {name}", rows, len(rows), 0))
+    return timings, told
 
 
 def replay(folder: Path, effort: Effort, decisions: int) -> dict[str, Timing]:

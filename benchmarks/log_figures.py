@@ -138,6 +138,12 @@ def _shown(timings: dict[str, Timing], told: dict[str, Any]) -> list[Figure]:
         ),
         _ratio(
             timings,
+            "log_sealed_append",
+            "a decision's record committed with all of its fields sealed / as it is",
+            ("log.sealed", "log.plain"),
+        ),
+        _ratio(
+            timings,
             "log_replay_over_verify",
             "a decision made again by the oracle / its records verified",
             ("log.replay", "log.replay.verify"),

@@ -33,6 +33,8 @@ from authguard_r.audit.verify import Anchor, Row, of_checkpoint, verify_rows
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.ledger import Act
 from authguard_r.report import decision_entry, outcome_entry
+from authguard_r.sealing import Reader, SealingPolicy
+from authguard_r.sealing.kept import policy_of
 from authguard_r.store.sqlite import open_store, read_rows
 from durable import MID, row_size
 from measure import Effort, Subject, Timing, interleave, timed
@@ -73,10 +75,13 @@ class Writer:
 
     Args:
         path: of the store, which is made anew.
+        readers: for whom fields are sealed; nothing is without any.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.held: Bench = bench(open_store(path))
+    def __init__(self, path: Path, *readers: Reader) -> None:
+        store = open_store(path)
+        policy_of(store, SealingPolicy(readers=readers))
+        self.held: Bench = bench(store)
         self.ledger = self.held.gate.ledger
         signer = folder_signer(worlds.trust_folder(), gate_name(worlds.RID))
         self.notary = Notary(self.ledger, robot=worlds.RID, signer=signer)

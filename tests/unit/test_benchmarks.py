@@ -149,7 +149,7 @@ def _log_timings(bench: Any, **medians_us: float) -> dict[str, Any]:
     names += [f"log.checkpoint.{count}" for count in TRIGGERS]
     names += [f"insert.bare.{name}" for name in ("log", "checkpoint", "witness")]
     names += ["log.verify.together", "log.bare.disk", "log.bare_json.long"]
-    names += ["log.witness", "log.replay", "log.replay.verify"]
+    names += ["log.witness", "log.replay", "log.replay.verify", "log.sealed", "log.plain"]
     return {
         name: timing_of([[int(medians_us.get(name.replace(".", "_"), 100) * 1_000)] * 3] * 5)
         for name in names
