@@ -198,6 +198,8 @@ class View:
     def explain(self, seq: int | None) -> dict[str, Any]:
         """Return one record in words; without a number, the planner's last refused proposal.
 
+        Sealed fields stay closed: whoever asks may have no key to them.
+
         Raises:
             RefusedError: there is no such record.
             MalformedError: the record is damaged.
@@ -206,13 +208,13 @@ class View:
         rows = () if wanted is None else self._gate.ledger.peek(lambda turn: turn.rows(wanted, 1))
         if not rows:
             raise no_record(seq)
-        row = self._gate.ledger.opened(rows[0])
-        where = f"record {row.seq}"
-        record = read_record(row.record, where=where)
-        values = read_sealed(row.sealed, where=where)
+        number, written, beside, _ = rows[0]
+        where = f"record {number}"
+        record = read_record(written, where=where)
+        values = read_sealed(beside, where=where)
         digest = record.open.get("mission")
         mission = None if digest is None else self._mission_of(Digest(digest))
-        return explanation(row.seq, record, values, mission=mission)
+        return explanation(number, record, values, mission=mission)
 
     def _last_refusal(self) -> int | None:
         """Return the number of the last refused proposal in the log, with those that waited."""
