@@ -34,7 +34,7 @@ from authguard_r.core.standing import Outcome, Spend
 from authguard_r.ledger import Act
 from authguard_r.report import decision_entry, outcome_entry
 from authguard_r.sealing import Reader, SealingPolicy
-from authguard_r.sealing.kept import policy_of
+from authguard_r.sealing.kept import hold_policy
 from authguard_r.store.sqlite import open_store, read_rows
 from durable import MID, row_size
 from measure import Effort, Subject, Timing, interleave, timed
@@ -80,7 +80,7 @@ class Writer:
 
     def __init__(self, path: Path, *readers: Reader) -> None:
         store = open_store(path)
-        policy_of(store, SealingPolicy(readers=readers))
+        hold_policy(store, SealingPolicy(readers=readers))
         self.held: Bench = bench(store)
         self.ledger = self.held.gate.ledger
         signer = folder_signer(worlds.trust_folder(), gate_name(worlds.RID))

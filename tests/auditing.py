@@ -17,11 +17,13 @@ from tempfile import mkdtemp
 import msgspec
 from msgspec import Struct
 
+import sealed
 import worlds
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.witnesses import request
 from authguard_r.assembly import folder_signer
 from authguard_r.audit.checkpoint import origin_of
+from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.note import (
     Note,
     NoteKey,
@@ -101,22 +103,30 @@ class Genuine(Struct, frozen=True):
 
 
 @cache
-def genuine(records: int, step: int, robot: RobotId = worlds.RID) -> Genuine:
+def genuine(
+    records: int, step: int, robot: RobotId = worlds.RID, *, seals: bool = False
+) -> Genuine:
     """Return the log of a gate that decided, refused, stopped and changed missions.
 
     Args:
         records: how many at least; a decision makes several.
         step: a checkpoint about every so many of them, and one at the end.
         robot: whose.
+        seals: for an auditor, and a porter who reads regions alone.
     """
     folder = Path(mkdtemp(prefix="authguard-game-"))
     signer = folder_signer(worlds.trust_folder(), f"gate-{robot}")
     keys = (log_key(origin_of(robot), leaf_key(signer.chain)),)
-    sim = worlds.simulation(rid=robot)
-    checkpoints = Checkpoints(sim.gate.ledger, robot=robot, signer=signer)
     notes: dict[int, Note] = {}
     rnd = Random(records)
     with ExitStack() as stack:
+        if seals:
+            readers = (sealed.reader("auditor"), sealed.reader("porter", DataClass.REGION))
+            sealing = sealed.sealing(folder / "robot.db", sealed.policy(*readers), rid=robot)
+            sim = stack.enter_context(sealing)
+        else:
+            sim = worlds.simulation(rid=robot)
+        checkpoints = Checkpoints(sim.gate.ledger, robot=robot, signer=signer)
         witnesses = [stack.enter_context(_Open(folder, n, keys)) for n in range(WITNESSES)]
         if robot == worlds.RID:
             sim.gate.management.activate(worlds.token())
@@ -138,7 +148,8 @@ def genuine(records: int, step: int, robot: RobotId = worlds.RID) -> Genuine:
             newest = checkpoints.newest
             notes[checkpoints.size] = Note(newest.text, (*newest.signatures, *made))
         seen = tuple(map(_honest, witnesses, [keys[0].name] * WITNESSES))
-    rows = sim.gate.ledger.store.rows()  # type: ignore[attr-defined]
+        size = _size(sim)
+        rows = tuple(Row(*row) for row in sim.gate.ledger.peek(lambda turn: turn.rows(0, size)))
     assert {one.log.size for one in seen} == {len(rows)} == {max(notes)}
     return Genuine(robot, rows, notes, signer, keys, seen, folder)
 

@@ -22,7 +22,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
 from authguard_r.keys.readers import ReaderKey, new_reader
 from authguard_r.sealing import KeyRing, Reader, Retention, SealingPolicy
-from authguard_r.sealing.kept import policy_of
+from authguard_r.sealing.kept import hold_policy
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.times import committed_ms
 
@@ -55,7 +55,7 @@ def sealing(path: Path, what: SealingPolicy | None = None, **more: Any) -> Itera
     """Yield a gate on this store, which seals; an old store goes on as it was without a policy."""
     if what is not None:
         store = open_store(path)
-        policy_of(store, what)
+        hold_policy(store, what)
         store.close()
     start_ms = max(worlds.START_MS, committed_ms(path))
     sim = worlds.simulation(store=path, **{"start_ms": start_ms, **more})

@@ -14,11 +14,10 @@ const LINK = ["action", "decision", "evidence", "mid", "prev", "seq", "state", "
 // RFC 8785, for what records hold: no fractions, and no number that a double cannot hold
 function canonical(value) {
   if (Array.isArray(value)) return `[${value.map(canonical).join(",")}]`;
-  if (value !== null && typeof value === "object") {
-    return `{${Object.keys(value).sort().map((k) => `${canonical(k)}:${canonical(value[k])}`).join(",")}}`;
-  }
+  const member = (name) => `${canonical(name)}:${canonical(value[name])}`;
+  if (value !== null && typeof value === "object") return `{${Object.keys(value).sort().map(member).join(",")}}`;
   if (typeof value === "number") need(Number.isSafeInteger(value), "a number that is no integer");
-  if (typeof value === "string") need(value.isWellFormed(), "a text that is no Unicode");
+  if (typeof value === "string") need(!/\p{Surrogate}/u.test(value), "a text that is no Unicode");
   return JSON.stringify(value);
 }
 function parsed(text, what) {
@@ -120,6 +119,7 @@ async function main() {
   const [keys, witnesses] = [values.key.map(readKey), values.witness.map(readKey)];
   let last = "", lines = 0, note = values.checkpoint && readFileSync(values.checkpoint, "utf8");
   for await (const line of linesOf(path)) [last, lines] = [line, lines + 1];
+  need(lines > 0, "the file is empty");
   const rows = last.startsWith('{"checkpoint":') ? lines - 1 : lines;
   if (rows < lines) note ??= parsed(last, "the last line").checkpoint;
   need(note || !keys.length, "there is no checkpoint that the key could have signed");
@@ -142,8 +142,8 @@ async function main() {
 }
 let size = null; // records that were found whole; null before the first was looked at
 main().catch((error) => {
-  const ours = error instanceof Broken || error instanceof SyntaxError;
-  if (!ours && error.code !== "ERR_ENCODING_INVALID_ENCODED_DATA") throw error;
-  console.log(size === null ? `NOT VERIFIED: ${error.message}` : `NOT WHOLE at record ${size}: ${error.message}`);
-  process.exitCode = size === null ? 4 : 1;
+  const unread = error.code && error.code !== "ERR_ENCODING_INVALID_ENCODED_DATA"; // the file's or an option's fault
+  const told = unread || size === null ? "NOT VERIFIED" : `NOT WHOLE at record ${size}`;
+  (unread ? console.error : console.log)(`${told}: ${error.message.split("\n")[0]}`);
+  process.exitCode = told === "NOT VERIFIED" ? 4 : 1;
 });

@@ -318,7 +318,7 @@ class Intake:
             return verified
         key = f"{verified.approval.mid}:{verified.approval.counter}"
         held = act.get("approvals", key)
-        tokens = () if held is None else read_held(held, tuple[str, ...], "approvals")
+        tokens = read_held(held, tuple[str, ...], "approvals") if held else ()
         if verified.approval.verdict is Verdict.APPROVE:
             self._require_one_name(token, (*_issuing(act, verified.approval.mid), *tokens))
         same = [
@@ -366,7 +366,7 @@ class Intake:
         found: list[tuple[VerifiedApproval, str]] = []
         for request in () if standing is None else standing.requests.values():
             held = act.get("approvals", f"{standing.mid}:{request.counter}") if standing else None
-            tokens = () if held is None else read_held(held, tuple[str, ...], "approvals")
+            tokens = read_held(held, tuple[str, ...], "approvals") if held else ()
             found += self._authentic(act, tokens)
         return Answered(tuple(one for one, _ in found), tuple(token for _, token in found))
 

@@ -407,6 +407,8 @@ class Act:
         self.put("standing", standing.mid, held)
         self._decoded[standing.mid] = (held, standing)
         self.held[standing.mid] = standing
+        if standing.status in TERMINAL and not standing.open:
+            self.drop_token(standing.digest)
 
     def active(self) -> MissionId | None:
         """Return the one mission that is active on this robot."""
@@ -419,7 +421,12 @@ class Act:
 
     def token(self, digest: Digest) -> bytes | None:
         """Return the token of a mission version by its digest."""
-        return self._turn.get("token", digest)
+        return self._turn.get("token", digest) or None
+
+    def drop_token(self, digest: Digest) -> None:
+        """Keep the token of a mission version no longer, where the log is sealed."""
+        if self._page.seals and self._turn.get("token", digest):
+            self.put("token", digest, b"")
 
     def keep_token(self, digest: Digest, token: bytes) -> None:
         """Keep a token, so that replay and restart have the very bytes."""
@@ -454,6 +461,10 @@ class Act:
     def forget_keys(self, mid: str) -> None:
         """Forget the keys that a mission's records are sealed with: what comes next has others."""
         self._page.forget_keys(mid)
+
+    def record_waiting(self) -> None:
+        """Append the refusals that waited: what comes next is behind them."""
+        self._page.record_waiting()
 
     def record(self, entry: Entry) -> int:
         """Append one record to the log, behind the refusals that waited."""

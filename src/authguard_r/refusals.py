@@ -320,6 +320,11 @@ class Page:
         taken, self._taken = self._taken, []
         self._refusals.give_back(taken)
 
+    @property
+    def seals(self) -> bool:
+        """True where fields of the log are sealed."""
+        return self._sealer is not None
+
     def forget_keys(self, mid: str) -> None:
         """Forget the keys of a mission's records, whatever becomes of this turn."""
         if self._sealer is not None:

@@ -20,14 +20,17 @@ import pytest
 import worlds
 from authguard_r.audit import pieces
 from authguard_r.audit.note import Note, NoteSignature, read_note
+from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Row
 from authguard_r.cli import call, log_verify
 from authguard_r.cli.exported import MAX_LINE, note_line, row_line
 from authguard_r.cli.gateway import Beside
 from authguard_r.cli.log_export import COLUMNS, cell
 from authguard_r.cli.logs import Log
-from authguard_r.core.encoding import encode
+from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.token import sign_object
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.notes import cosign, log_key, sign_text, witness_key
 from authguard_r.keys.signer import read_signer
@@ -135,6 +138,46 @@ def test_a_checkpoint_that_was_kept_elsewhere_shows_that_the_end_is_gone(desk: D
     assert (code, told["anchors"]) == (0, [["checkpoint", 3], ["checkpoint", SIZE]])
     code, told = desk.json("audit", "verify", desk.export(ROWS, None), "--checkpoint", kept)
     assert (code, told["error"]["where"]) == (5, "--key")
+
+
+def test_a_log_that_is_not_whole_says_what_it_was_held_to(desk: Desk) -> None:
+    own = generate(Algorithm.ED25519)
+    witness = witness_key("w.example", own.public_key())
+    cosigned = cosign(desk.note.text, witness.name, own, AT)
+    kept = desk.keep(Note(desk.note.text, (*desk.note.signatures, cosigned)))
+    said = Terminal(log=ROBOT, size=5, head=Digest(b64(ROWS[4].link)), time_ms=AT * 1_000)
+    Path("terminal").write_bytes(sign_object(said, Tag.CHECKPOINT, desk.signer))
+    key, at = ("--key", desk.key), ("--checkpoint", kept)
+    plain, quorum = f"a checkpoint of {SIZE} records", ("--witness", witness.text())
+    cosigned_too = f"a checkpoint, cosigned by enough witnesses, of {SIZE} records"
+    digest = "a signed terminal digest of 5 records"
+    checkpoint, vouched = ["checkpoint", SIZE], ["witnessed", SIZE]
+    both = ("--trust", "trust", "--checkpoint", "terminal", *at)
+    changed = [*ROWS[:2], edited(ROWS[2], open={}), *ROWS[3:]]
+    cases = (
+        (desk.note, (), [], ["nothing outside of it"]),
+        (desk.note, key, [checkpoint], [plain]),
+        (None, (*key, *at), [checkpoint], [plain]),
+        (None, (*key, *at, *quorum), [vouched], [cosigned_too]),
+        (None, both, [["signed-terminal", 5], checkpoint], [digest, plain]),
+    )
+    # of what was cut off nobody knows who has nothing to hold it to
+    for rows, where, asked in (
+        (ROWS[:4], "record 4", cases[1:]),
+        (changed, "record 2", cases),
+    ):
+        for note, given, told_of, words in asked:
+            name = desk.export(rows, note)
+            code, told = desk.json("audit", "verify", name, *given)
+            assert (code, told["where"], told["held_to"]) == (1, where, told_of)
+            assert told["anchored"] == "unanchored"  # what it was held to vouches for none of it
+            code, text = desk("audit", "verify", name, *given)
+            first, *rest = text.splitlines()
+            assert (code, first.startswith(f"NOT WHOLE at {where}: ")) == (1, True)
+            assert rest == [f"  held to {word}" for word in words]
+    whole = desk.json("audit", "verify", desk.export(ROWS, None), *both)[1]
+    assert whole["held_to"] == whole["anchors"] == [["signed-terminal", 5], checkpoint]
+    assert "held to" not in desk("audit", "verify", "log.jsonl", *both)[1]
 
 
 def test_a_key_that_signed_nothing_here_is_not_authentic(desk: Desk) -> None:

@@ -175,13 +175,19 @@ def exported(vector: Json, folder: Path) -> Path:
     return path
 
 
-def node(*arguments: str) -> tuple[int, str]:
+def node_said(*arguments: str) -> tuple[int, str, str]:
+    """Return the code of the independent verifier, and what it said on either stream."""
     assert NODE is not None, "node is not installed"
     done = subprocess.run(
         [NODE, str(VERIFIER), *arguments], capture_output=True, text=True, check=False, timeout=60
     )
-    assert done.stderr == ""
-    return done.returncode, done.stdout
+    return done.returncode, done.stdout, done.stderr
+
+
+def node(*arguments: str) -> tuple[int, str]:
+    code, out, errors = node_said(*arguments)
+    assert errors == ""
+    return code, out
 
 
 @pytest.mark.parametrize("vector", VECTORS["logs"], ids=named)
@@ -231,6 +237,48 @@ def test_the_independent_verifier_is_short_and_uses_the_standard_library_alone()
     assert all(name.startswith("node:") for name in imported)
     assert "require(" not in text
     assert "import(" not in text
+    for newer in ("isWellFormed", "toWellFormed", "toSorted", "toReversed", "fromAsync"):
+        assert newer not in text  # Node 18 has none of these
+
+
+@needs_node
+def test_what_cannot_be_read_is_not_verified_and_never_not_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = exported(next(v for v in VECTORS["logs"] if v["expect"].get("whole")), tmp_path)
+    missing = str(tmp_path / "missing")
+    for words in (
+        [missing],
+        [str(tmp_path)],
+        [],
+        [str(log), "--unknown"],
+        [str(log), "--checkpoint", missing],
+    ):
+        code, out, errors = node_said(*words)
+        assert (code, out, len(errors.splitlines())) == (4, "", 1), words
+        assert errors.startswith("NOT VERIFIED: ")
+    for path in (missing, str(tmp_path)):
+        assert call(["audit", "verify", path]) == 4
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@needs_node
+def test_an_empty_file_is_no_log(tmp_path: Path) -> None:
+    """Somebody who emptied it is not told that nothing was changed."""
+    empty = tmp_path / "log.jsonl"
+    empty.touch()
+    for key in ((), ("--key", VECTORS["key"])):
+        assert node(str(empty), *key) == (4, "NOT VERIFIED: the file is empty\n")
+        assert call(["audit", "verify", str(empty), *key]) == 4
+
+
+@needs_node
+def test_half_a_character_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    row = {"link": "", "record": '{"open":"\\ud800"}', "sealed": "{}", "seq": 0}
+    path.write_text(json.dumps(row, separators=(",", ":")) + "\n")
+    assert node(str(path)) == (1, "NOT WHOLE at record 0: a text that is no Unicode\n")
+    assert call(["audit", "verify", str(path)]) == 1
 
 
 @needs_node

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A reader that was written from the spec page alone gives the published answers, as ours does.
 
-It shares no code with the gate, only other people's SHA-256, HKDF, X25519 and AES-GCM.
+It shares no code with the gate, only other people's SHA-2 and SHA-3, HKDF, X25519, ML-KEM and
+AES-GCM.
 Source: docs/spec/sealed-fields.md
 """
 
@@ -11,12 +12,13 @@ import json
 import subprocess
 import sys
 from base64 import urlsafe_b64decode, urlsafe_b64encode
-from hashlib import sha256
+from hashlib import sha3_256, sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.asymmetric.mlkem import MLKEM768PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.hashes import SHA256
@@ -30,7 +32,7 @@ VECTORS: Json = json.loads((worlds.ROOT / "vectors" / "sealed.json").read_text()
 ROWS = VECTORS["rows"]
 FIRST = 2
 PARTS = ("action.act", "action.object", "action.params", "action.regions")
-SPOKEN = ("approvers", "by", "grant")
+SPOKEN = ("approvers", "by", "caller", "digest", "grant", "members", "scheduler", "signer")
 
 
 def test_the_published_file_is_what_the_generator_writes(tmp_path: Path) -> None:
@@ -93,7 +95,11 @@ def read(number: int, sealed: Json, keys: dict[str, bytes]) -> tuple[Json, Json]
     return record, plain
 
 
-# HPKE, base mode, of RFC 9180: section 5.1 and 4.1, for X25519
+# HPKE, base mode, of RFC 9180: section 5.1 and 4.1, for X25519 and for X-Wing
+
+X25519_KEM, XWING_KEM = b"\x00\x20", b"\x64\x7a"
+#: Bytes of ML-KEM-768's ciphertext and of a public key of X25519.
+CT_M, CT_X = 1_088, 32
 
 
 def extract(salt: bytes, label: bytes, suite: bytes, data: bytes) -> bytes:
@@ -107,24 +113,43 @@ def expand(key: bytes, label: bytes, suite: bytes, info: bytes, size: int) -> by
     return HKDFExpand(SHA256(), size, told).derive(key)
 
 
-def unwrap(private: bytes, wrapped: bytes, info: bytes) -> bytes:
-    kem, hpke = b"KEM\x00\x20", b"HPKE\x00\x20\x00\x01\x00\x02"
-    mine, sent = X25519PrivateKey.from_private_bytes(private), wrapped[:32]
+def agreed(private: bytes, sent: bytes) -> tuple[bytes, bytes]:
+    """Return what X25519 gives, and the public key of the private one."""
+    mine = X25519PrivateKey.from_private_bytes(private)
     shared = mine.exchange(X25519PublicKey.from_public_bytes(sent))
-    context = sent + mine.public_key().public_bytes_raw()
-    secret = expand(extract(b"", b"eae_prk", kem, shared), b"shared_secret", kem, context, 32)
+    return shared, mine.public_key().public_bytes_raw()
+
+
+def decapsulate(private: list[bytes], enc: bytes) -> tuple[bytes, bytes]:
+    """Return the KEM's id and its shared secret."""
+    *seeds, x25519 = private
+    if not seeds:
+        shared, public = agreed(x25519, enc)
+        kem, context = b"KEM" + X25519_KEM, enc + public
+        root = extract(b"", b"eae_prk", kem, shared)
+        return X25519_KEM, expand(root, b"shared_secret", kem, context, 32)
+    ct_m, ct_x = enc[:CT_M], enc[CT_M:]
+    ss_x, pk_x = agreed(x25519, ct_x)
+    ss_m = MLKEM768PrivateKey.from_seed_bytes(seeds[0]).decapsulate(ct_m)
+    return XWING_KEM, sha3_256(ss_m + ss_x + ct_x + pk_x + b"\\./" + b"/^\\").digest()
+
+
+def unwrap(private: list[bytes], wrapped: bytes, info: bytes) -> bytes:
+    size = CT_X if len(private) == 1 else CT_M + CT_X
+    kem, secret = decapsulate(private, wrapped[:size])
+    hpke = b"HPKE" + kem + b"\x00\x01\x00\x02"
     schedule = b"\0" + extract(b"", b"psk_id_hash", hpke, b"")
     schedule += extract(b"", b"info_hash", hpke, info)
     root = extract(secret, b"secret", hpke, b"")
     key = expand(root, b"key", hpke, schedule, 32)
     nonce = expand(root, b"base_nonce", hpke, schedule, 12)
-    return AESGCM(key).decrypt(nonce, wrapped[32:], b"")
+    return AESGCM(key).decrypt(nonce, wrapped[size:], b"")
 
 
 def keys_of(role: str) -> dict[str, bytes]:
-    """Return the keys that the log tells a role whose key is of X25519."""
+    """Return the keys that the log tells a role."""
     reader = VECTORS["readers"][role]
-    (private,) = map(unb64, reader["private"])
+    private = [unb64(part) for part in reader["private"]]
     name = b64(sha256(b"authguard-r/raw/1\0" + unb64(reader["public"])).digest())
     found = {}
     for field, item in json.loads(ROWS[1]["sealed"]).items():
@@ -137,10 +162,15 @@ def keys_of(role: str) -> dict[str, bytes]:
     return found
 
 
-@pytest.mark.parametrize("role", ["auditor", "porter"])
+@pytest.mark.parametrize("role", sorted(VECTORS["readers"]))
 def test_another_reader_finds_the_keys_in_the_log(role: str) -> None:
     classes = VECTORS["readers"][role]["classes"]
     assert keys_of(role) == {one: unb64(VECTORS["keys"][one]) for one in classes}
+
+
+def test_the_readers_of_the_file_have_a_key_of_each_kind() -> None:
+    parts = {role: len(reader["private"]) for role, reader in VECTORS["readers"].items()}
+    assert parts == {"auditor": 1, "porter": 1, "pq-auditor": 2}
 
 
 @pytest.mark.parametrize("role", sorted(VECTORS["readers"]))

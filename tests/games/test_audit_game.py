@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Callable
 from functools import cache
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from random import Random
 
@@ -38,12 +39,13 @@ from auditing import (
     same,
 )
 from authguard_r.assembly import sign_terminal
+from authguard_r.audit.boxes import BOX, WRAP
 from authguard_r.audit.note import NoteKey
-from authguard_r.audit.record import Terminal, read_record
-from authguard_r.audit.verify import Row, of_checkpoint, verify_rows
+from authguard_r.audit.record import Sealed, Terminal, read_record, read_sealed
+from authguard_r.audit.verify import Row, Verification, of_checkpoint, verify_rows
 from authguard_r.cli.exported import note_line, row_line
 from authguard_r.cli.log_reading import reading
-from authguard_r.core.encoding import Tag
+from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token
 from authguard_r.store.sqlite import open_store
@@ -87,6 +89,17 @@ def tiny() -> Genuine:
     return genuine(24, 5)
 
 
+@cache
+def closed() -> Genuine:
+    """Return the log of a gate that seals: boxes for its readers, and their keys wrapped."""
+    return genuine(60, 9, seals=True)
+
+
+@cache
+def tiny_closed() -> Genuine:
+    return genuine(24, 5, seals=True)
+
+
 def newest(of: Genuine) -> tuple[bytes, ...]:
     return (of.notes[of.size].encode(),)
 
@@ -114,13 +127,16 @@ def named(name: str, forged: Forged, of: Genuine) -> str:
     return f"records 0 to {of.size - 1}"
 
 
+@pytest.mark.parametrize("of", [log, closed])
 @pytest.mark.parametrize("name", ATTACKS)
-def test_no_attack_on_any_record_keeps_the_anchor_and_the_first_is_named(name: str) -> None:
-    honest = auditor(log(), kept=log().size)
-    for at, forged in places(name, log()):
+def test_no_attack_on_any_record_keeps_the_anchor_and_the_first_is_named(
+    name: str, of: Callable[[], Genuine]
+) -> None:
+    honest = auditor(of(), kept=of().size)
+    for at, forged in places(name, of()):
         told = honest.hears(forged)
         assert not told.whole, (name, at)
-        assert told.where == named(name, forged, log()), (name, at)
+        assert told.where == named(name, forged, of()), (name, at)
 
 
 @pytest.mark.parametrize("name", ATTACKS)
@@ -132,10 +148,13 @@ def test_a_checkpoint_after_every_record_names_the_very_first_that_was_touched(n
         assert found.where == f"record {first_touched(forged.rows, tiny())}", (name, at)
 
 
+@pytest.mark.parametrize("log_of", [tiny, tiny_closed])
 @pytest.mark.parametrize("name", ATTACKS)
-def test_without_the_checks_that_find_it_the_attack_wins(name: str) -> None:
+def test_without_the_checks_that_find_it_the_attack_wins(
+    name: str, log_of: Callable[[], Genuine]
+) -> None:
     """And any one of them is enough, somewhere: none of them is there for nothing."""
-    of, caught = tiny(), ATTACKS[name].caught
+    of, caught = log_of(), ATTACKS[name].caught
     anchors = auditor(of, kept=of.size).knows()
     found = dict.fromkeys(caught, 0)
     for at, forged in places(name, of):
@@ -151,8 +170,12 @@ def test_every_check_is_what_some_attack_meets() -> None:
     assert frozenset().union(*(attack.caught for attack in ATTACKS.values())) == CHECKS
 
 
-def test_what_was_destroyed_is_not_missed_and_raises_no_alarm() -> None:
-    of = log()
+@pytest.mark.parametrize("log_of", [log, closed])
+def test_what_was_destroyed_is_not_missed_and_raises_no_alarm(
+    log_of: Callable[[], Genuine],
+) -> None:
+    """Undetectable by design: values, boxes and wrapped keys that are gone."""
+    of = log_of()
     for kept in (None, of.size):
         honest = auditor(of, kept=kept)
         gone = [destroy(list(of.rows), at) for at in range(of.size)]
@@ -160,6 +183,30 @@ def test_what_was_destroyed_is_not_missed_and_raises_no_alarm() -> None:
             told = honest.hears(Forged(tuple(rows), newest(of)))
             assert (told.whole, told.anchored, told.size) == (True, "witnessed", of.size)
     assert sum(row.sealed != b"{}" for row in of.rows) > of.size // 2
+
+
+def test_of_a_sealed_log_nothing_but_what_is_gone_passes() -> None:
+    """Any set of boxes and keys may be missing; each that is there is the one that was sealed."""
+    of = tiny_closed()
+    anchors = auditor(of, kept=of.size).knows()
+    rest = {name: one for row in of.rows for name, one in read_sealed(row.sealed, where="").items()}
+
+    def found(row: Row, values: dict[str, Sealed]) -> Verification:
+        sealed = encode_fast(dict(sorted(values.items())))
+        other = msgspec.structs.replace(row, sealed=sealed)
+        rows = (*of.rows[: row.seq], other, *of.rows[row.seq + 1 :])
+        return verify_rows(rows, anchors=anchors)
+
+    for row in of.rows:
+        whole = read_sealed(row.sealed, where="")
+        for names in chain.from_iterable(combinations(whole, n) for n in range(len(whole) + 1)):
+            left = {name: whole[name] for name in names}
+            assert found(row, left).anchored_size == of.size
+            # the control: the last of them is another record's of that name
+            if names and rest[names[-1]] != whole[names[-1]]:
+                told = found(row, {**left, names[-1]: rest[names[-1]]})
+                assert (told.whole, told.where) == (False, f"record {row.seq}")
+    assert {BOX, WRAP} <= {name.partition(".")[0] + "." for name in rest}
 
 
 # older copies
@@ -452,13 +499,16 @@ class Score:
     def __init__(self) -> None:
         self.ended: Counter[str] = Counter()
         self.tricks: Counter[str] = Counter()
+        self.closed = 0
         self.lost: list[str] = []
 
 
 def one_round(seed: str, score: Score) -> None:
     """Play once: an adversary, an auditor, and what was told."""
     rnd = Random(seed)
-    of = log() if rnd.random() < 0.25 else short()
+    drawn = rnd.random()
+    of = log() if drawn < 0.25 else closed() if drawn < 0.5 else short()
+    score.closed += of is closed()
     hands = random_hands(rnd, of, most=FEW)
     forged, done = random_forgery(rnd, hands)
     kept = rnd.choice((of.size, of.size, of.size, rnd.choice(sorted(of.notes)), None))
@@ -496,6 +546,7 @@ def play(rounds: int) -> Score:
     # most rounds do harm, and every kind of answer came
     assert score.ended["named"] + score.ended["refused"] > rounds // 2
     assert score.ended["whole"] > rounds // 50
+    assert rounds // 6 < score.closed < rounds // 3
     assert rounds < 10_000 or (score.ended["rolled back"] and score.ended["beyond"])
     return score
 

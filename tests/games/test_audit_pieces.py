@@ -7,6 +7,7 @@ process tells, in every word. Source: section "Audit-Tampering Game".
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import pytest
@@ -23,6 +24,12 @@ PIECE = 7
 @cache
 def log() -> Genuine:
     return genuine(60, 9)
+
+
+@cache
+def closed() -> Genuine:
+    """Return the log of a gate that seals."""
+    return genuine(60, 9, seals=True)
 
 
 def auditors(of: Genuine) -> tuple[Auditor, ...]:
@@ -42,9 +49,12 @@ def in_pieces(rows: list[Row], verifier: Verifier) -> Verification:
     return verifier.finish(rows[first:])
 
 
+@pytest.mark.parametrize("log_of", [log, closed])
 @pytest.mark.parametrize("name", ATTACKS)
-def test_every_attack_on_any_record_is_told_alike_in_pieces(name: str) -> None:
-    of = log()
+def test_every_attack_on_any_record_is_told_alike_in_pieces(
+    name: str, log_of: Callable[[], Genuine]
+) -> None:
+    of = log_of()
     for at in range(of.size):
         rows = ATTACKS[name].make(list(of.rows), at)
         for one in auditors(of) if rows is not None else ():
@@ -68,8 +78,11 @@ def test_no_attack_escapes_the_processes_together(
     assert not found.whole
 
 
-def test_the_genuine_log_and_one_whose_values_are_gone_are_whole_in_pieces() -> None:
-    of = log()
+@pytest.mark.parametrize("log_of", [log, closed])
+def test_the_genuine_log_and_one_whose_values_are_gone_are_whole_in_pieces(
+    log_of: Callable[[], Genuine],
+) -> None:
+    of = log_of()
     for rows in (list(of.rows), destroy_all(list(of.rows))):
         for one in auditors(of):
             known = one.knows((of.notes[of.size].encode(),)) if one.keys else ()

@@ -5,7 +5,8 @@
 
 Each line on standard input orders one round (`Order` as JSON); the next line, whatever it says,
 kills it. On standard output: `ready`, then for each round `born`, what the gate did as it did it
-(`moving TICKET`, `acked SEQ OUTCOME`), `fault ...` for what must not happen, and `died SIGNAL`.
+(`moving TICKET`, `acked SEQ OUTCOME`, `covering` and `covered` around a checkpoint), `fault ...`
+for what must not happen, and `died SIGNAL`.
 """
 
 from __future__ import annotations
@@ -113,8 +114,11 @@ def live(folder: Path, token: bytes, order: Order, parent: int) -> None:
         if report.refusal is not None or not report.outcome_recorded:
             say(f"fault {report}")
         say(f"acked {report.seq} {'-' if report.outcome is None else report.outcome}")
-        if dice.random() < 0.2 and (found := sim.gate.anchor.covered(irreversible=True)):
-            say(f"fault {found}")
+        if dice.random() < 0.3:
+            say("covering")  # a checkpoint of everything, committed in a turn of its own
+            if found := sim.gate.anchor.covered(irreversible=True):
+                say(f"fault {found}")
+            say("covered")
 
 
 def main(folder: Path, token: bytes) -> None:

@@ -211,6 +211,8 @@ class Heard:
         self.moving: list[str] = []
         self.acked: list[tuple[int, str]] = []
         self.faults: list[str] = []
+        #: True while a checkpoint was being made.
+        self.covering = False
 
     def take(self, line: str) -> None:
         kind, _, rest = line.partition(" ")
@@ -219,6 +221,8 @@ class Heard:
         elif kind == "acked":
             seq, outcome = rest.split()
             self.acked.append((int(seq), outcome))
+        elif kind in {"covering", "covered"}:
+            self.covering = kind == "covering"
         else:
             self.faults.append(line)
 
@@ -333,7 +337,7 @@ def campaign(worker: Worker, folder: Path, *, kills: int, seed: int) -> None:
     print(f"AUTHGUARD_SEED={seed}")
     dice = random.Random(seed)
     mid = mission().mid
-    in_flight = idle = acknowledged = 0
+    in_flight = idle = covering = acknowledged = 0
     life = Life(folder / "store-0.db", mid)
     for kill in range(kills):
         if dice.random() < 0.1 or life.rounds > LONGEST:
@@ -344,14 +348,17 @@ def campaign(worker: Worker, folder: Path, *, kills: int, seed: int) -> None:
         acknowledged += len(heard.acked)
         in_flight += len(story.open)
         idle += not story.open
+        covering += heard.covering
         if dice.random() < 0.5:
             restart(life, story, dice)
             assert not life.read().open
     print(f"{kills} kills, {in_flight} in flight, {idle} idle, {acknowledged} acknowledged")
-    # the kills really fell on both sides of a commit
+    print(f"{covering} kills while a checkpoint was made")
+    # the kills really fell on both sides of a commit, and while a checkpoint was made
     assert in_flight >= kills // 20
     assert idle >= kills // 20
     assert acknowledged >= kills // 5
+    assert covering >= 1 + kills // 200
 
 
 def test_two_hundred_killed_gates_keep_every_promise(worker: Worker, tmp_path: Path) -> None:

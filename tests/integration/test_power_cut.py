@@ -16,7 +16,7 @@ import random
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import apsw
 
@@ -24,6 +24,7 @@ import worlds
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.assembly import folder_signer
 from authguard_r.audit.checkpoint import read_checkpoint
+from authguard_r.audit.note import Note
 from authguard_r.audit.record import Entry
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
@@ -252,12 +253,14 @@ class Machine:
             genesis={"site": "hospital"},
         )
         self.checkpoints = Checkpoints(self.ledger, robot=worlds.RID, signer=GATE)
+        #: True once the power went while a checkpoint was being committed.
+        self.cut_in_checkpoint = False
 
     def work(self, acknowledged: dict[int, bytes]) -> None:
         """Act until the power goes; note what was acknowledged while it was on."""
         acts: tuple[Callable[[Act], tuple[int, bytes]], ...] = (self.release, self.outcome)
         while not self._disk.is_dead:
-            if self._dice.random() < 0.1:
+            if self._dice.random() < 0.25:
                 seq, link = self.checkpoint()
             elif self._dice.random() < 0.1:
                 seq = self.ledger.note(lambda at: _entry("stop", at, {}))
@@ -269,7 +272,8 @@ class Machine:
 
     def checkpoint(self) -> tuple[int, bytes]:
         """Make one, and return the last record that a witness would know of now."""
-        self.checkpoints.make()
+        self.checkpoints.make()  # only its commit writes, and the power goes at a write
+        self.cut_in_checkpoint = self._disk.is_dead
         assert self.checkpoints.newest is not None
         said = read_checkpoint(self.checkpoints.newest.text, where="")
         assert said.chain is not None
@@ -310,8 +314,8 @@ def _value(seq: int, size: int) -> bytes:
     return (sha256(str(seq).encode()).digest() * (size // 32 + 1))[:size]
 
 
-def look(disk: Disk, *, start_ms: int) -> tuple[Row, ...]:
-    """Open what is left and return its log; nothing in it is half done."""
+def look(disk: Disk, *, start_ms: int) -> tuple[tuple[Row, ...], Note | None]:
+    """Open what is left; return its log and newest checkpoint; nothing in it is half done."""
     machine = Machine(disk, random.Random(0), start_ms=start_ms, synchronous="FULL")
     connection = machine.store._connection
     assert connection.execute("PRAGMA integrity_check").get == "ok"
@@ -328,8 +332,9 @@ def look(disk: Disk, *, start_ms: int) -> tuple[Row, ...]:
     }
     require_one_story(rows, held)
     assert machine.checkpoints.fits()  # never ahead of the log, and never of another one
+    newest = machine.checkpoints.held()
     machine.ledger.close()
-    return rows
+    return rows, newest
 
 
 def require_one_story(rows: tuple[Row, ...], held: dict[tuple[str, str], bytes]) -> None:
@@ -369,8 +374,22 @@ class BrokenPromiseError(Exception):
     """An acknowledged act is lost, or what is left is damaged."""
 
 
-def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> int:
-    """Cut the power again and again on one disk; return how many acts were acknowledged.
+class Lived(NamedTuple):
+    """What became of one disk.
+
+    Args:
+        acknowledged: acts.
+        in_checkpoints: cuts that fell inside a checkpoint's commit.
+        kept: how many of these checkpoints were there afterwards all the same.
+    """
+
+    acknowledged: int
+    in_checkpoints: int
+    kept: int
+
+
+def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> Lived:
+    """Cut the power again and again on one disk; return what became of it.
 
     Raises:
         BrokenPromiseError: what the store had promised is not there; the first argument is
@@ -378,6 +397,7 @@ def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> int:
     """
     files: dict[str, bytes] = {}
     acknowledged: dict[int, bytes] = {}
+    in_checkpoints = kept = 0
     for number in range(cuts):
         start_ms = worlds.START_MS + 3_600_000 * number
         disk = Disk(files, dice, dice.randrange(1, LONGEST))
@@ -388,25 +408,32 @@ def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> int:
         disk.unregister()
         again = Disk(files, dice, -1)
         try:
-            rows = look(again, start_ms=start_ms + 1_800_000)
+            rows, held = look(again, start_ms=start_ms + 1_800_000)
         except Exception as error:  # whatever it is, the promise is broken
             raise BrokenPromiseError("damaged", number, error) from error
         finally:
             again.unregister()
+        in_checkpoints += machine.cut_in_checkpoint
+        kept += machine.cut_in_checkpoint and held == machine.checkpoints.newest
         links = {row.seq: row.link for row in rows}
         gone = [seq for seq, link in acknowledged.items() if links.get(seq) != link]
         if gone:
             raise BrokenPromiseError("lost", number, gone)
-    return len(acknowledged)
+    return Lived(len(acknowledged), in_checkpoints, kept)
 
 
 def test_a_thousand_power_cuts_lose_nothing_acknowledged() -> None:
-    cuts, acknowledged = 4, 0
+    cuts, lives = 4, []
     for life in range(250):
         print(f"AUTHGUARD_SEED={SEED} life {life}")
         dice = random.Random(f"{SEED}-{life}")
-        acknowledged += one_life(dice, cuts=cuts, synchronous="FULL")
+        lives.append(one_life(dice, cuts=cuts, synchronous="FULL"))
+    acknowledged, in_checkpoints, kept = map(sum, zip(*lives, strict=True))
+    print(f"{acknowledged} acknowledged, {in_checkpoints} cuts in a checkpoint, {kept} of them kept")
     assert acknowledged > 250 * cuts * 5  # the cuts fall among acts, not only while opening
+    # and some inside a checkpoint's commit, on either side of the moment from which it lasts
+    assert in_checkpoints >= 250 * cuts // 100
+    assert 0 < kept < in_checkpoints
 
 
 def broken_promises(synchronous: str) -> list[str]:

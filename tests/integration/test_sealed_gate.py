@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import sealed
 import worlds
 from authguard_r.audit.boxes import BOX, WRAP, DataClass
 from authguard_r.audit.verify import Row
+from authguard_r.cli.logs import open_log
 from authguard_r.cli.replay import Replay
 from authguard_r.commands import Verb
 from authguard_r.core.approval import Verdict
@@ -57,15 +58,28 @@ class SealingGate(RunningGate):
         with operator(self) as person:
             person.command(order(self, mission, digest, Verb.REVOKE))
 
-    def shreds(self, mid: str, *classes: DataClass, words: tuple[object, ...] = ()) -> Any:
-        """Order as a person does at a terminal; return exit code and what is said."""
+    def shreds(
+        self,
+        mid: str,
+        *classes: DataClass,
+        words: tuple[object, ...] = (),
+        then: Callable[[], None] = lambda: None,
+    ) -> Any:
+        """Order as a person does at a terminal; return exit code and what is said.
+
+        Args:
+            then: what happens once it is said, before the command has ended.
+        """
         said = ["audit", "shred", mid, "--trust", self.trust, "--yes", "--json"]
         said += [word for data in classes for word in ("--class", data)]
         said += words or ("--gate", self.run)
-        done = subprocess.run(
-            [str(AUTHGUARD), *map(str, said)], capture_output=True, check=False, cwd=worlds.ROOT
-        )
-        return done.returncode, json.loads(done.stdout)
+        with subprocess.Popen(
+            [str(AUTHGUARD), *map(str, said)], stdout=subprocess.PIPE, cwd=worlds.ROOT
+        ) as process:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            then()
+        return process.returncode, json.loads(line)
 
     def shredded(self) -> bool:
         """True when the log says that every box is gone."""
@@ -83,6 +97,11 @@ def replayed(rows: list[Row], trust: Path, role: str = "auditor") -> Replay:
     for row in sealed.opened(rows, role):
         assert replay.see(row) is None
     return replay
+
+
+def said(rows: list[Row], role: str) -> bytes:
+    """Return the values that a role reads beside the records."""
+    return b"".join(row.sealed for row in sealed.opened(rows, role)[1:])
 
 
 def test_the_log_of_a_gate_is_closed_to_who_has_the_file_and_open_to_its_auditor(
@@ -149,9 +168,10 @@ def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
     code, told = gate.shreds(mission.mid, REGION)
     assert (code, told["error"]["code"]) == (1, "TRANSITION_REFUSED")  # it goes on
     gate.ends(mission, digest)
-    code, told = gate.shreds(mission.mid, REGION)
+    with open_log(gate.store) as log:
+        before = said(list(log.rows), "porter")
+    code, told = gate.shreds(mission.mid, REGION, then=gate.kill9)
     assert (code, told["shredding"]["classes"], gate.shredded()) == (0, ["region"], False)
-    gate.kill9()
     gate.start_gate()
     until(gate.shredded, "the last box")
     assert gate.shreds(mission.mid, REGION)[1]["error"]["code"] == "MISSION_UNKNOWN"
@@ -162,8 +182,11 @@ def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
     assert not [name for name in names if name.startswith((BOX, WRAP)) and "region" in name]
     replay = replayed(rows, gate.trust)
     assert (replay.agree, replay.not_replayable) == (0, replay.decisions)
-    porter = b"".join(row.sealed for row in sealed.opened(rows, "porter")[1:])
-    assert b'"x_mm"' not in porter
+    # where the planner wanted to go, which the porter could read
+    after = said(rows, "porter")
+    for word in (b'"action.regions"', b'"destination":"isolation-room"'):
+        assert before.count(word) == 200, word
+        assert word not in after
 
 
 def test_an_order_is_carried_out_on_a_store_that_no_gate_holds(gate: SealingGate) -> None:

@@ -55,6 +55,8 @@ os.umask(0o077); os.setgroups(groups); os.setresgid(gid, gid, gid); os.setresuid
 sys.exit(call(sys.argv[4:]))
 """
 PATIENCE_S = 60
+#: Somebody whose witness serves on this machine.
+WITNESS = User(71_007, 71_007, (71_007,))
 
 
 @dataclass
@@ -195,6 +197,49 @@ print(os.listdir("{run}") != [])
         [sys.executable, "-IS", "-c", tried], capture_output=True, text=True, check=True, cwd="/"
     )
     assert done.stdout.splitlines() == ["[]", "[]", "[]", "True"]
+
+
+def test_the_gate_cannot_touch_what_its_witness_keeps(machine: Machine) -> None:
+    """Who holds the robot's store cannot make the witness forget, nor sign as it."""
+    home = machine.folder / "witness"
+    home.mkdir(mode=0o755)  # so that only the witness's own folder keeps others out
+    os.chown(home, WITNESS.uid, WITNESS.gid)
+    own = home / "own"
+    assert machine.run(WITNESS, "witness", "init", str(own), "--name", "w1.example")[0] == 0
+    serves = machine.start(WITNESS, "witness", "serve", str(own))
+    names = sorted(str(path) for path in own.rglob("*") if path.is_file())
+    assert any(private(Path(name)) for name in names)
+    before = {name: Path(name).read_bytes() for name in names}
+    tried = f"""
+import os
+os.setgroups({list(GATE.groups)}); os.setresgid(*[{GATE.gid}] * 3); os.setresuid(*[{GATE.uid}] * 3)
+def may(act):
+    try:
+        act()
+    except OSError:
+        return False
+    return True
+names, own = {names!r}, {str(own)!r}
+print([n for n in names if may(lambda: open(n, "rb"))])
+print([n for n in (*names, own + "/x", own + "-x") if may(lambda: open(n, "ab"))])
+print([n for n in names if may(lambda: os.unlink(n))])
+print([how.__name__ for how in (os.rmdir, os.listdir) if may(lambda: how(own))])
+print(may(lambda: os.rename(own, own + "-away")), may(lambda: os.kill({serves.pid}, 9)))
+"""
+    done = subprocess.run(
+        [sys.executable, "-IS", "-c", tried], capture_output=True, text=True, check=True, cwd="/"
+    )
+    assert done.stdout.splitlines() == ["[]", "[]", "[]", "[]", "False False"]
+    assert {name: Path(name).read_bytes() for name in names} == before
+    assert serves.poll() is None
+    # nor does it serve as that witness, or see what it knows
+    for verb in ("serve", "show"):
+        code, text = machine.run(GATE, "witness", verb, str(own))
+        assert (code, "is not readable" in text) == (2, True), text
+
+
+def private(path: Path) -> bool:
+    return b"PRIVATE KEY" in path.read_bytes()
 
 
 @pytest.mark.parametrize(

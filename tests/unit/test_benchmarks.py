@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -208,6 +210,42 @@ def test_every_target_of_the_log_is_a_figure(bench: Any) -> None:
 def test_a_log_that_falls_short_is_told_apart(bench: Any, key: str, parts: dict[str, Any]) -> None:
     figures = _log_figures(bench, **parts)
     assert [name for name in _LOG_TARGETS if not figures[name].meets] == [key]
+
+
+@pytest.mark.parametrize(
+    ("told", "missed"),
+    [
+        ({}, []),
+        ({"rss_growth_bytes": 51 * 2**20}, ["log_memory"]),
+        ({"whole": False}, ["log_whole"]),
+        ({"verified": 199_999, "rss_growth_bytes": 2**30}, ["log_memory", "log_whole"]),
+        ({"later_over_earlier": 9.0}, []),  # a time: the machine's as much as the code's
+    ],
+)
+def test_a_night_fails_by_what_no_clock_enters_alone_and_its_result_is_kept(
+    bench: Any,
+    told: dict[str, Any],
+    missed: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    import log as run
+
+    assert set(_LOG_TARGETS) > run.UNTIMED
+    storage = [{"what": "a record", "open": 1, "sealed": 1, "link": 32, "tree": 0.5}]
+    found = run.Logged(
+        _log_timings(bench, log_append_long=900), {**_logged(**told), "storage": storage}
+    )
+    monkeypatch.setattr(run, "log", lambda *_: found)
+    kept = tmp_path / "log-night.json"
+    code = run.main(["--quick", "--json", str(kept), "--disk", str(tmp_path)])
+    assert code == (1 if missed else 0)
+    out, errors = capsys.readouterr()
+    assert errors == (f"missed: {', '.join(missed)}\n" if missed else "")
+    figures = {one["id"]: one for one in json.loads(kept.read_text())["figures"]}
+    assert figures["log_append_growth"]["meets"] is False
+    assert [key for key in figures if key in run.UNTIMED and not figures[key]["meets"]] == missed
 
 
 def test_every_figure_and_size_of_the_log_is_a_row_of_the_page(bench: Any) -> None:

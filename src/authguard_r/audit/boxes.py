@@ -71,7 +71,12 @@ _PARTS: dict[str, tuple[str, ...]] = {
     REGIONS: ("source", "destination", "route"),
 }
 #: Open fields with words that people chose, and what they tell of; sealed under their names.
-SPOKEN: dict[str, Classes] = {"approvers": (_WHO,), "by": (_WHO,), "grant": _TOLD}
+SPOKEN: dict[str, Classes] = {
+    **dict.fromkeys(("approvers", "by", "members", "scheduler", "signer", "caller"), (_WHO,)),
+    "grant": _TOLD,
+}
+#: A stream's running digest is guessed like any digest of few numbers.
+_STREAM: dict[str, Classes] = {"digest": (_P,)}
 #: The classes that a field tells of. What is not named here tells of everything.
 CLASSES: Final[dict[str, Classes]] = {
     ACT: (_E,),
@@ -81,10 +86,11 @@ CLASSES: Final[dict[str, Classes]] = {
     **dict.fromkeys(("capability", "influences", LINKS), _TOLD),
     **dict.fromkeys(("findings", "standing", "where", "message", "plan", "entries"), _TOLD),
     **SPOKEN,
+    **_STREAM,
     "command": (_WHO,),
     "dialect": (_E,),
     "extremes": (_P,),
-    "state": (_E, _R),
+    "state": (_E, _O, _R),  # where the robot is, and what it holds
     "why": (_E, _WHO),
     # of no mission: when it was, where the robot lives, what is published, the keys themselves
     **dict.fromkeys(("now", "site", "policy", "list"), ()),
@@ -255,7 +261,7 @@ def _opened(
 
 def _told(record: Record, values: dict[str, Sealed]) -> Record:
     """Return the record with the words and the digests that it would tell of."""
-    spoken = {name: values[name].value for name in SPOKEN if name in values}
+    spoken = {name: values[name].value for name in (*SPOKEN, *_STREAM) if name in values}
     link = record.link
     if LINKS in values:
         try:
@@ -280,7 +286,7 @@ class _Links(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def _whole(values: dict[str, Sealed]) -> dict[str, Sealed]:
     """Return the values as they were before; a whole action has the salt of its first part."""
-    rest = {n: one for n, one in values.items() if n not in SPOKEN and n != LINKS}
+    rest = {n: one for n, one in values.items() if n not in {*SPOKEN, *_STREAM, LINKS}}
     parts = {name: rest.pop(name) for name in _PARTS if name in rest}
     if parts.keys() != _PARTS.keys():
         return rest | parts
@@ -290,9 +296,10 @@ def _whole(values: dict[str, Sealed]) -> dict[str, Sealed]:
 
 def _without_words(entry: Entry, cover: Cover) -> Entry:
     """Return the entry with the open fields that people's words are in among the sealed ones."""
+    words = {**SPOKEN, **_STREAM} if entry.kind == "stream" else SPOKEN
     spoken = {
         name: entry.open[name]
-        for name, classes in SPOKEN.items()
+        for name, classes in words.items()
         if name in entry.open and not cover.classes.keys().isdisjoint(classes)
     }
     rest = {name: value for name, value in entry.open.items() if name not in spoken}

@@ -12,7 +12,7 @@ import typer
 
 from authguard_r.audit.note import read_key
 from authguard_r.audit.pieces import MOST_JOBS, usable_jobs, verify_in_pieces
-from authguard_r.audit.verify import Verification
+from authguard_r.audit.verify import Anchor, By, Verification
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_anchors import Asked, Known, known_of
@@ -25,6 +25,12 @@ from authguard_r.core.quantities import to_timestamp
 
 #: Most processes that somebody can ask for.
 _MOST_ASKED = 64
+#: What a log is held to, for people.
+_HELD_TO: dict[By, str] = {
+    "signed-terminal": "a signed terminal digest",
+    "checkpoint": "a checkpoint",
+    "witnessed": "a checkpoint, cosigned by enough witnesses,",
+}
 
 
 def verify_command(
@@ -103,15 +109,24 @@ def _payload(found: Verification, known: Known, log: Log) -> dict[str, Any]:
     told_by = None if log.gate is None else log.gate.pid
     return {
         **msgspec.to_builtins(found),
+        "held_to": [[anchor.by, anchor.size] for anchor in _by_size(known)],
         "told_by": told_by,
         "cosigned": [{"witness": seen.key.name, "time_s": seen.time_s} for seen in known.cosigned],
         "not_verified": list(known.ignored),
     }
 
 
+def _by_size(known: Known) -> list[Anchor]:
+    return sorted(known.anchors, key=lambda anchor: anchor.size)
+
+
 def _lines(found: Verification, known: Known, log: Log, *, own: bool) -> Iterator[str]:
     if not found.whole:
         yield f"NOT WHOLE at {found.where}: {found.fault}"
+        for anchor in _by_size(known):
+            yield f"  held to {_HELD_TO[anchor.by]} of {anchor.size} records"
+        if not known.anchors:
+            yield "  held to nothing outside of it"
         return
     covers = f", {found.anchored_size} of {found.size} records" if found.anchored_size else ""
     yield f"whole: {found.size} records, head {found.head}"

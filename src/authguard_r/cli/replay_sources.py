@@ -186,7 +186,8 @@ class Sources:
         kept = self._missions.get(digest)
         if kept is None:
             return self._gone.get(digest)
-        reasons = list(record.open.get("reasons", ()))
+        said = record.open.get("reasons")
+        reasons = said if isinstance(said, list) else []
         if self._trust is None and values["approvals"]:
             return "who answered, only --trust says"
         if self._trust is None and reasons == [Reason.CERTIFICATE_EXPIRED]:

@@ -55,6 +55,7 @@ from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import WATCH_MS
 from authguard_r.safety import EnvelopeGate, SafetyConfig, safety_digest
 from authguard_r.sealing import SealingPolicy
+from authguard_r.sealing.kept import hold_policy
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.site.model import Site, stopping_mm
 from authguard_r.store.sqlite import SqliteStore, open_store
@@ -227,7 +228,8 @@ def _mount(parts: Parts) -> _Mounted:
 
 def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore) -> Gate:
     clock = {"clock": SIMULATED} if parts.simulated is not None else {}
-    return assemble(
+    sealing = SealingPolicy(readers=parts.config.readers, retention=parts.config.retention)
+    gate = assemble(
         trust=parts.trust,
         chain=parts.signer.chain,
         site=parts.site,
@@ -249,8 +251,10 @@ def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore) -> Gate:
         counter=parts.counter,
         signer=parts.signer,
         notary=notary_policy(parts.config),
-        sealing=SealingPolicy(readers=parts.config.readers, retention=parts.config.retention),
+        sealing=sealing,
     )
+    hold_policy(store, sealing)  # once it is known that the store is this gate's
+    return gate
 
 
 def _rotation(parts: Parts, gate: Gate, store: SqliteStore) -> Rotation:

@@ -213,7 +213,9 @@ class View:
         record = read_record(written, where=where)
         values = read_sealed(beside, where=where)
         digest = record.open.get("mission")
-        mission = None if digest is None else self._mission_of(Digest(digest))
+        # where a log is sealed, a change would tell what the mission's token holds
+        closed = digest is None or self._gate.ledger.sealer is not None
+        mission = None if closed else self._mission_of(Digest(str(digest)))
         return explanation(number, record, values, mission=mission)
 
     def _last_refusal(self) -> int | None:

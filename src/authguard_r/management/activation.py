@@ -21,6 +21,7 @@ from authguard_r.ledger import Act
 from authguard_r.management.parts import Parts, entry, go_on, refuse, replayed
 from authguard_r.management.repetition import Used, use_instance
 from authguard_r.management.rollback import require_later
+from authguard_r.sealing.kept import hold_expiry
 
 #: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
 _ENDS: dict[Reason, Event] = {
@@ -46,7 +47,7 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     verified, mission = offered.verified, offered.verified.mission
     _require_usable(verified, act, parts.facts)
     current = act.active()
-    old = _lapsed(act, act.standing(current) if current is not None else None, parts)
+    old = lapsed(act, act.standing(current) if current is not None else None, parts)
     if old is not None and old.status not in TERMINAL and current != mission.mid:
         raise refuse(Reason.TRANSITION_REFUSED, f"`{current}` is active on this robot")
     known = act.standing(mission.mid)
@@ -60,6 +61,9 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     if active is None:  # pragma: no cover - issued missions can be activated
         raise refuse(Reason.TRANSITION_REFUSED, f"the mission is {standing.status}")
     act.keep_token(verified.digest, offered.held)
+    hold_expiry(act, mission.mid, verified.expiry_ms)
+    if known is not None:
+        act.drop_token(known.digest)
     act.hold(active)
     act.make_active(mission.mid)
     go_on(act)
@@ -90,7 +94,7 @@ def _offered(act: Act, token: bytes, confirmation: bytes | None, parts: Parts) -
     return _Offered(verified=used.made.mission, held=used.pair(token), used=used)
 
 
-def _lapsed(act: Act, standing: Standing | None, parts: Parts) -> Standing | None:
+def lapsed(act: Act, standing: Standing | None, parts: Parts) -> Standing | None:
     """Return the standing after what ended without an order: its time, or its signer's word."""
     if standing is None or standing.status in TERMINAL:
         return standing

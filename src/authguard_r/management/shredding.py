@@ -9,39 +9,39 @@ record says who destroyed what. Spec page: docs/spec/sealed-fields.md#shredding
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.audit.boxes import BOX, SEALING, WRAP, Box, DataClass
-from authguard_r.audit.record import NONE, Entry, Record, read_record, read_sealed
+from authguard_r.audit.record import NONE, Entry, Record, Sealed, read_record, read_sealed
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.identifiers import Count, MissionId
 from authguard_r.core.lifecycle import TERMINAL
-from authguard_r.core.quantities import to_ms, to_timestamp
+from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.ledger import Act, read_held
+from authguard_r.management.activation import lapsed
 from authguard_r.management.parts import Parts, entry, refuse
 from authguard_r.management.repetition import require_fresh
-from authguard_r.sealing.kept import due_missions, hold_due, newest_keys
+from authguard_r.sealing.kept import due_missions, expiry_ms, hold_due, newest_keys
 
 #: Who may order it: whoever says who reads, and for how long.
 ROLES = frozenset({"site_authority"})
 #: Where what is still to be destroyed is held.
 _KIND, _JOBS = "shredding", "jobs"
-#: Records that one turn looks through.
-PAGE = 64
-#: Keys that one order reaches back to: one for each start of the gate.
+#: Records that one turn looks through, and of how many of them it lets boxes go.
+LOOKS, PAGE = 1_024, 64
+#: Keys that one order reaches back to: one for each start of the gate. Another reaches further.
 _MOST_KEYS = 4_096
-#: When a mission expired whose token is destroyed.
-_OVER = "shredding-over"
-#: Missions that one turn looks at, and how long one set of keys of no mission is used.
-_MOST_DUE = 64
+#: Missions that retention looks at in one turn, and of how many it destroys something.
+_MOST_DUE, _MOST_BEGUN = 16, 4
+#: How long one set of keys of no mission is used where retention ends.
 DAY_MS = 86_400_000
 
 
@@ -73,15 +73,8 @@ class _Keys(Struct, frozen=True, kw_only=True):
     seq: int
     since_ms: int
     until_ms: int
+    end: int
     names: frozenset[str]
-
-
-class _Task(Struct, frozen=True):
-    """Whose fields go: a mission's, when that expires, and of which classes."""
-
-    mid: str
-    classes: tuple[DataClass, ...]
-    over_ms: int
 
 
 def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
@@ -98,38 +91,40 @@ def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
     # as in the configuration that it signs: this role has no scope, the order names the very log
     if b64(act.rows(0, 1)[0][3]) != command.mission:
         raise refuse(Reason.ROLLED_BACK, "another log was signed for", "command.mission")
-    mid = NONE if str(command.mid) == parts.facts.robot.rid else str(command.mid)
-    least_ms = max((r.least_ms for r in parts.retention if r.data in command.shreds), default=0)
-    keys = _required(act, _Task(mid, command.shreds, _over_ms(act, mid, parts)), least_ms)
+    act.record_waiting()  # a refusal that comes behind the order would have keys of its own
+    mid = _meant(act, command.mid, parts)
+    keys = _required(act, mid, command.shreds, parts)
     act.put("command", command.nonce, b"1")
     told = entry(act, NONE, {"verb": Verb.SHRED, "by": signer.id, "role": signer.role})
-    told = replace(told, sealed={"command": command})
-    return _begin(act, _Task(mid, command.shreds, _over_ms(act, mid, parts)), keys, told)
+    return _begin(act, mid, command.shreds, keys, replace(told, sealed={"command": command}))
 
 
 def retire(act: Act, *, parts: Parts) -> tuple[Shredding, ...]:
-    """Destroy what was kept as long as the signed retention says."""
+    """Destroy what was kept as long as the signed retention says; some of it, at most.
+
+    A mission that expired and that nobody ended lapses before.
+    """
     rules = {rule.data: rule.most_ms for rule in parts.retention if rule.most_ms}
     if not rules:
         return ()
-    begun: list[Shredding] = []
     due = due_missions(act)
-    looked, later = due[:_MOST_DUE], due[_MOST_DUE:]
-    for mid in (*looked, NONE):
-        over_ms = _over_ms(act, mid, parts)
-        for data, most_ms in rules.items():
-            keys = tuple(
-                key
-                for key in _keys(act, mid, (data,))
-                if (key.until_ms if mid == NONE else over_ms) + most_ms <= act.now.utc_ms
-            )
-            if keys:
-                told = entry(act, NONE, {"verb": Verb.SHRED, "by": "retention"})
-                begun.append(_begin(act, _Task(mid, (data,), over_ms), keys, told))
-    left = tuple(m for m in looked if any(_keys(act, m, (data,)) for data in rules))
-    if (*later, *left) != due:
-        hold_due(act, (*later, *left))
-    newest = _keys(act, NONE, tuple(rules))[:1]
+    looked, left = due[:_MOST_DUE], list(due[_MOST_DUE:])
+    begun: list[Shredding] = []
+    for mid in looked:
+        over_ms = expiry_ms(act, mid)
+        ripe = tuple(d for d, most_ms in rules.items() if over_ms + most_ms <= act.now.utc_ms)
+        there = tuple(data for data in ripe if _keys(act, mid, (data,), most=1))
+        if there and len(begun) < _MOST_BEGUN:
+            _end(act, mid, parts)
+            begun += _retired(act, mid, there, 0)
+            there = ()
+        if there or len(ripe) < len(rules):
+            left.append(mid)
+    if tuple(left) != due:
+        hold_due(act, tuple(left))
+    for data, most_ms in rules.items():
+        begun += _retired(act, NONE, (data,), act.now.utc_ms - most_ms)
+    newest = _keys(act, NONE, tuple(rules), most=1)
     if newest and act.now.utc_ms - newest[0].since_ms >= DAY_MS:
         act.forget_keys(NONE)  # the next record makes others, so that these have an end
     return tuple(begun)
@@ -141,9 +136,13 @@ def shred_on(act: Act) -> bool:
     if not jobs:
         return False
     job, rest = jobs[0], jobs[1:]
-    count = min(PAGE, job.end - job.at)
-    gone = sum(_emptied(act, job, row) for row in act.rows(job.at, count))
-    job = replace(job, at=job.at + count, boxes=job.boxes + gone)
+    at, gone, emptied = job.at, 0, 0
+    for row in act.rows(job.at, min(LOOKS, job.end - job.at)):
+        found = _emptied(act, job, row)
+        at, gone, emptied = at + 1, gone + found, emptied + bool(found)
+        if emptied == PAGE:
+            break
+    job = replace(job, at=at, boxes=job.boxes + gone)
     if job.at < job.end:
         _hold_jobs(act, (job, *rest))
         return True
@@ -159,84 +158,139 @@ def shred_on(act: Act) -> bool:
     return bool(rest)
 
 
-def _over_ms(act: Act, mid: str, parts: Parts) -> int:
-    """Return when the newest version of a mission expires, 0 for the records of none.
+def _meant(act: Act, mid: MissionId, parts: Parts) -> str:
+    """Return the mission that an order names, `-` for the records of none.
 
     Raises:
-        RefusedError: there is no such mission.
+        RefusedError: there is no such mission, or one has the robot's name.
     """
-    if mid == NONE:
-        return 0
-    standing = act.standing(MissionId(mid))
-    if standing is None:
+    known = act.standing(mid) is not None
+    if str(mid) == parts.facts.robot.rid:
+        if known:
+            text = "a mission has the robot's name: nobody can say which is meant"
+            raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
+        return NONE
+    if not known:
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission is here", "command.mid")
-    held = act.get(_OVER, mid)
-    if held:  # its token went with the first class that was destroyed
-        return int(held)
-    mission = parts.intake.held(act, standing.digest).mission
-    return to_ms(mission.expiry, where="mission.expiry")
+    return mid
 
 
-def _required(act: Act, task: _Task, least_ms: int) -> tuple[_Keys, ...]:
+def _required(
+    act: Act, mid: str, classes: tuple[DataClass, ...], parts: Parts
+) -> tuple[_Keys, ...]:
     """Return the keys that may be destroyed now.
 
+    What is destroyed with a class tells of others too, so it is kept as long as any has to be.
+
     Raises:
-        RefusedError: the mission goes on, its fields are to be kept, or there are none.
+        RefusedError: nobody ended the mission, its fields are to be kept, or there are none.
     """
-    now_ms, mid = act.now.utc_ms, task.mid
     standing = None if mid == NONE else act.standing(MissionId(mid))
-    goes_on = standing is not None and standing.status not in TERMINAL
-    if standing is not None and goes_on and now_ms <= task.over_ms:
+    if standing is not None and standing.status not in TERMINAL:
         text = f"the mission is {standing.status}: end it first"
         raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
-    keys = _keys(act, mid, task.classes)
+    keys = _keys(act, mid, classes)
     if not keys:
         text = "nothing is sealed there, or it is destroyed already"
         raise refuse(Reason.MISSION_UNKNOWN, text, "command.mid")
-    ends = {key.seq: key.until_ms if mid == NONE else task.over_ms for key in keys}
-    ripe = tuple(key for key in keys if not least_ms or ends[key.seq] + least_ms <= now_ms)
+    least_ms = max((rule.least_ms for rule in parts.retention), default=0)
+    over_ms = 0 if mid == NONE or not least_ms else expiry_ms(act, mid)
+    ends = [key.until_ms if mid == NONE else over_ms for key in keys]
+    ripe = tuple(
+        key
+        for key, end in zip(keys, ends, strict=True)
+        if not least_ms or end + least_ms <= act.now.utc_ms
+    )
     if not ripe:
-        text = f"its fields are kept until {to_timestamp(min(ends.values()) + least_ms)} at least"
+        text = f"its fields are kept until {to_timestamp(min(ends) + least_ms)} at least"
         raise refuse(Reason.NOT_YET_VALID, text, "command.shreds")
     return ripe
 
 
-def _keys(act: Act, mid: str, classes: tuple[DataClass, ...]) -> tuple[_Keys, ...]:
+def _end(act: Act, mid: MissionId, parts: Parts) -> None:
+    """Let a mission lapse that expired and that nobody ended."""
+    ended = lapsed(act, act.standing(mid), parts)
+    if ended is not None and ended.status in TERMINAL and act.active() == mid:
+        act.make_active(None)
+        parts.intake.forget()
+
+
+def _retired(
+    act: Act, mid: str, classes: tuple[DataClass, ...], until_ms: int
+) -> Iterator[Shredding]:
+    """Begin to destroy what has no more time.
+
+    Args:
+        act: the act.
+        mid: the mission.
+        classes: of its fields.
+        until_ms: for the records of no mission, keys that were used later are left.
+    """
+    keys = tuple(
+        key
+        for key in _keys(act, mid, classes, whole=mid != NONE)
+        if mid != NONE or key.until_ms <= until_ms
+    )
+    if keys:
+        told = entry(act, NONE, {"verb": Verb.SHRED, "by": "retention"})
+        yield _begin(act, mid, classes, keys, told)
+
+
+def _keys(
+    act: Act,
+    mid: str,
+    classes: tuple[DataClass, ...],
+    *,
+    most: int = _MOST_KEYS,
+    whole: bool = True,
+) -> tuple[_Keys, ...]:
     """Return the records that tell keys of these classes, the newest first.
 
-    What was destroyed once is not told any more, and nothing before it is.
+    Args:
+        act: the act.
+        mid: the mission.
+        classes: any of them.
+        most: so many at most.
+        whole: look behind keys that are destroyed, too; else nothing before them is told.
     """
     found: list[_Keys] = []
     names = {WRAP + data for data in classes}
-    seq, until_ms = newest_keys(act, mid), act.now.utc_ms
-    while seq is not None and seq >= 0 and len(found) < _MOST_KEYS:
+    seq, until_ms, end = newest_keys(act, mid), act.now.utc_ms, act.head()[0]
+    while seq is not None and seq >= 0 and len(found) < most:
         record, sealed = _read(act, seq)
+        before = record.open.get("before")
+        if record.kind != SEALING or record.link.mid != mid or not isinstance(before, int):
+            raise _corrupt("expected a record that tells keys", seq)
         wraps = frozenset(names & sealed.keys())
-        if record.kind != SEALING or record.link.mid != mid or not wraps:
-            break
         since_ms = record.link.time_ms
-        found.append(_Keys(seq=seq, since_ms=since_ms, until_ms=until_ms, names=wraps))
-        seq, until_ms = int(record.open.get("before", -1)), since_ms
+        if wraps:
+            found.append(_Keys(seq=seq, since_ms=since_ms, until_ms=until_ms, end=end, names=wraps))
+        elif not whole and names & record.committed.keys():
+            break
+        if before >= seq:
+            raise _corrupt("expected the keys of before to lie before", seq)
+        seq, until_ms, end = before, since_ms, seq
     return tuple(found)
 
 
-def _begin(act: Act, task: _Task, keys: tuple[_Keys, ...], told: Entry) -> Shredding:
+def _begin(
+    act: Act, mid: str, classes: tuple[DataClass, ...], keys: tuple[_Keys, ...], told: Entry
+) -> Shredding:
     """Destroy the wrapped keys, and note what is left to do; the record is of no mission."""
     for key in keys:
         act.forget(key.seq, key.names)
-    act.forget_keys(task.mid)
-    act.put(_OVER, task.mid, str(task.over_ms).encode("ascii"))
-    standing = None if task.mid == NONE else act.standing(MissionId(task.mid))
+    act.forget_keys(mid)
+    standing = None if mid == NONE else act.standing(MissionId(mid))
     if standing is not None and standing.status in TERMINAL:
-        act.hold(replace(standing, requests={}, selected={}))
-    end = act.head()[0]
-    opened = {"of": task.mid, "classes": list(task.classes), "keys": len(keys)}
+        # a terminal mission uses, asks and chooses nothing more; what it did, the log says
+        act.hold(replace(standing, requests={}, selected={}, uses={}))
+    opened = {"of": mid, "classes": list(classes), "keys": len(keys)}
     job = Shredding(
-        mid=task.mid,
-        classes=task.classes,
+        mid=mid,
+        classes=classes,
         keys=tuple(key.seq for key in keys),
         at=keys[-1].seq,
-        end=end,
+        end=keys[0].end,
         order=act.record(replace(told, open={**told.open, **opened})),
     )
     _hold_jobs(act, (*_jobs(act), job))
@@ -248,32 +302,50 @@ def _emptied(act: Act, job: Shredding, row: tuple[int, bytes, bytes, bytes]) -> 
     seq, written, beside, _ = row
     if BOX.encode() not in beside:
         return 0
-    where = f"store.audit.{seq}"
-    sealed = read_sealed(beside, where=where)
+    record, sealed = _spelled(seq, written, beside)
     names = {
         name
         for name, one in sealed.items()
         if name.startswith(BOX)
         and not set(job.classes).isdisjoint(name.removeprefix(BOX).split("+"))
-        and msgspec.convert(one.value, Box).keys in job.keys
+        and _box(seq, one).keys in job.keys
     }
-    if names:
-        act.forget(seq, names)
-        digest = read_record(written, where=where).open.get("mission")
-        if digest is not None and act.get("token", str(digest)):
-            act.put("token", str(digest), b"")
+    if not names:
+        return 0
+    act.forget(seq, names)
+    for kind, key in (
+        ("token", str(record.open.get("mission"))),
+        ("approvals", f"{record.link.mid}:{record.open.get('counter')}"),
+    ):
+        if act.get(kind, key):
+            act.put(kind, key, b"")
     return len(names)
 
 
-def _read(act: Act, seq: int) -> tuple[Record, dict[str, Any]]:
-    where = f"store.audit.{seq}"
+def _read(act: Act, seq: int) -> tuple[Record, dict[str, Sealed]]:
     rows = act.rows(seq, 1)
     if not rows:
-        raise StoreError("the log has no such record", where=where, reason=Reason.STORE_CORRUPT)
+        raise _corrupt("the log has no such record", seq)
+    return _spelled(*rows[0][:3])
+
+
+def _spelled(seq: int, written: bytes, beside: bytes) -> tuple[Record, dict[str, Sealed]]:
+    where = f"store.audit.{seq}"
     try:
-        return read_record(rows[0][1], where=where), dict(read_sealed(rows[0][2], where=where))
+        return read_record(written, where=where), read_sealed(beside, where=where)
     except MalformedError as error:
-        raise StoreError(error.message, where=where, reason=Reason.STORE_CORRUPT) from error
+        raise _corrupt(error.message, seq) from error
+
+
+def _box(seq: int, sealed: Sealed) -> Box:
+    try:
+        return msgspec.convert(sealed.value, Box)
+    except msgspec.ValidationError as error:
+        raise _corrupt(f"expected a box: {error}", seq) from error
+
+
+def _corrupt(text: str, seq: int) -> StoreError:
+    return StoreError(text, where=f"store.audit.{seq}", reason=Reason.STORE_CORRUPT)
 
 
 def _jobs(act: Act) -> tuple[Shredding, ...]:

@@ -9,8 +9,10 @@ from __future__ import annotations
 from msgspec import Struct
 
 from authguard_r.core.encoding import encode
+from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import Count, MissionId
 from authguard_r.core.ports import Store, Turn
+from authguard_r.core.reasons import Reason
 from authguard_r.ledger import Act, read_held
 from authguard_r.sealing.policy import SealingPolicy
 
@@ -18,6 +20,8 @@ from authguard_r.sealing.policy import SealingPolicy
 HELD = "sealing"
 #: Where it holds what the last gate sealed, and the missions whose fields have an end to come.
 POLICY, _NEWEST, _DUE = "sealing-policy", "newest", "due"
+#: Where it holds when a mission expires.
+_EXPIRY = "sealing-expiry"
 
 
 class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -55,8 +59,26 @@ def newest_keys(turn: Turn | Act, mid: str) -> int | None:
     return read_held(held, Kept, HELD).newest if held else None
 
 
+def hold_expiry(act: Act, mid: MissionId, expiry_ms: int) -> None:
+    """Hold when the newest version of a mission expires: its token does not stay."""
+    act.put(_EXPIRY, mid, str(expiry_ms).encode("ascii"))
+
+
+def expiry_ms(act: Act, mid: str) -> int:
+    """Return when the newest version of a mission expires.
+
+    Raises:
+        StoreError: the store does not say.
+    """
+    held = act.get(_EXPIRY, mid)
+    if not held or not held.isdigit():
+        text = f"when `{mid}` expires is not held"
+        raise StoreError(text, where=f"store.{_EXPIRY}", reason=Reason.STORE_CORRUPT)
+    return int(held)
+
+
 def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:
-    """Return what is sealed: as the gate's configuration says, which the store then holds too.
+    """Return what is sealed: as the gate's configuration says, else as the store holds it.
 
     Args:
         store: the robot's.
@@ -66,15 +88,20 @@ def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:
     Raises:
         StoreError: what is held is none.
     """
+    held = None if given is not None else store.read(lambda turn: turn.get(POLICY, _NEWEST))
+    return read_held(held, SealingPolicy, POLICY) if held else given or SealingPolicy()
+
+
+def hold_policy(store: Store, given: SealingPolicy | None) -> None:
+    """Hold what a gate's configuration says, for those who act on the store when no gate runs.
+
+    Asked once it is known that the store is this gate's.
+    """
     spelled = None if given is None else encode(given)
 
-    def job(turn: Turn) -> bytes | None:
+    def job(turn: Turn) -> None:
         held = turn.get(POLICY, _NEWEST)
         if spelled is not None and spelled != held and (held or given != SealingPolicy()):
             turn.put(POLICY, _NEWEST, spelled)
-        return held
 
-    held = store.run(job)
-    if given is not None or not held:
-        return given or SealingPolicy()
-    return read_held(held, SealingPolicy, POLICY)
+    store.run(job)

@@ -90,11 +90,12 @@ def require_retention(
         MalformedError: with the rule.
     """
     sealed = {one for reader in readers for one in reader.classes}
+    least_ms = max((rule.least_ms for rule in rules), default=0)
     names = [rule.data for rule in rules]
     for number, rule in enumerate(rules):
-        if rule.data not in sealed or 0 < rule.most_ms < rule.least_ms:
+        if rule.data not in sealed or 0 < rule.most_ms < least_ms:
             raise MalformedError(
-                "expected a class that a reader may read, and `most_ms` not below `least_ms`",
+                "expected a class that a reader may read, and `most_ms` not below any `least_ms`",
                 where=f"{where}[{number}]",
                 reason=Reason.SCHEMA_INVALID,
             )

@@ -11,8 +11,10 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from authguard_r.audit.boxes import SEALING, WRAP, Cover, append_covered, opened
-from authguard_r.audit.record import NONE, Entry, append
+from authguard_r.audit.record import NONE, Entry, append, read_record
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId
@@ -22,8 +24,9 @@ from authguard_r.sealing.kept import HELD, Kept, due_missions, hold_due, policy_
 from authguard_r.sealing.policy import Retention, SealingPolicy, require_readers
 from authguard_r.sealing.wraps import Wrapped, WrappedFor
 
-#: Missions whose keys are in memory at a time; more than one only around a change of missions.
-_MOST_COVERS = 4
+#: Missions whose keys are in memory at a time: the active one, and those of which something is
+#: still said. Each that comes back has new keys, which its readers are told in a record.
+_MOST_COVERS = 64
 _KEY = 32
 
 
@@ -62,7 +65,9 @@ class Sealer:
         Raises:
             MalformedError: it is not what was sealed.
         """
-        covers = {cover.keys: cover for _, cover in self._covers.values()}
+        mid = read_record(row.record, where=f"record {row.seq}").link.mid
+        known = [self._covers[name][1] for name in (mid, NONE) if name in self._covers]
+        covers = {cover.keys: cover for cover in known}
         return opened(
             row,
             robot=self._robot,
@@ -74,8 +79,11 @@ class Sealer:
         self._covers.pop(mid, None)
 
     def _cover(self, turn: Turn, entry: Entry, salts: Callable[[int], bytes]) -> Cover:
-        held = turn.get(HELD, entry.mid)
-        known = self._covers.get(entry.mid)
+        # what is of no mission that was ever here, a template's record or an answer to nothing
+        mid = entry.mid if turn.get("standing", entry.mid) else NONE
+        entry = replace(entry, mid=mid)
+        held = turn.get(HELD, mid)
+        known = self._covers.get(mid)
         if known is not None and known[0] == held:  # else its record was not committed
             return known[1]
         seq = turn.head()[0]
@@ -85,8 +93,9 @@ class Sealer:
         self._tell(turn, entry, cover, before, salts)
         kept = encode(Kept(newest=seq))
         turn.put(HELD, entry.mid, kept)
-        if self._retires and before is None and entry.mid != NONE:
-            hold_due(turn, (*due_missions(turn), MissionId(entry.mid)))
+        due = due_missions(turn) if self._retires and mid != NONE else None
+        if due is not None and mid not in due:
+            hold_due(turn, (*due, MissionId(mid)))
         self._covers[entry.mid] = (kept, cover)
         self._covers.move_to_end(entry.mid)
         while len(self._covers) > _MOST_COVERS:

@@ -56,6 +56,8 @@ class SqliteTurn:
         if not self._connection.in_transaction:
             self._connection.execute("BEGIN IMMEDIATE")
         self._many("INSERT INTO audit VALUES (?, ?, ?, ?)", self._rows)
+        if self._forgets or b"" in self._puts.values():
+            self._overwrite()
         if self._forgets:
             self._let_go()
         self._many(
@@ -67,13 +69,16 @@ class SqliteTurn:
             self._know(place, value)
         self._puts, self._rows, self._forgets = {}, [], {}
 
+    def _overwrite(self) -> None:
+        """Have zeros written over what goes, and nothing of it left in the write-ahead log."""
+        self._connection.execute("PRAGMA secure_delete = ON")
+        self.has_traces = True
+
     def _let_go(self) -> None:
-        """Write what stays of sealed values, with zeros over what was in its place.
+        """Write what stays of sealed values.
 
         What lies in a segment is written there once this is committed; until then it is held.
         """
-        self._connection.execute("PRAGMA secure_delete = ON")
-        self.has_traces = True
         for seq, left in self._forgets.items():
             if seq < self._segments.reach:
                 self._puts[FORGET, str(seq)] = left

@@ -16,7 +16,7 @@ import sealed
 import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.boxes import BOX, WRAP, DataClass
-from authguard_r.audit.record import Entry
+from authguard_r.audit.record import Entry, append
 from authguard_r.audit.verify import Row
 from authguard_r.cli.replay import Replay
 from authguard_r.commands import Verb
@@ -24,7 +24,10 @@ from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_ms
+from authguard_r.ledger import Act
+from authguard_r.management.parts import entry
 from authguard_r.management.shredding import DAY_MS, PAGE
+from authguard_r.refusals import RefusalPolicy
 from authguard_r.sealing.kept import HELD, due_missions
 
 REGION, OBJECT, PERSON = DataClass.REGION, DataClass.OBJECT, DataClass.PERSON
@@ -120,21 +123,48 @@ def test_an_order_destroys_a_class_for_every_reader_and_the_chain_stays_whole(pa
     assert sealed.told(end).open["boxes"] > 0
 
 
-def test_what_a_store_holds_of_the_mission_beside_its_log_goes_with_it(path: Path) -> None:
+def test_what_a_store_holds_of_the_mission_beside_its_log_goes_at_its_end(path: Path) -> None:
     with sealed.sealing(path, sealed.policy()) as sim:
-        mission = ended(sim)
+        mission = sealed.active(sim)
         digest = sealed_digest(sim, mission)
         token = sim.gate.ledger.peek(lambda turn: turn.get("token", digest))
-        assert token is not None
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
-        finished(sim)
+        assert token is not None  # a restart needs it
+        worlds.propose(sim, GO)
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
         assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
         assert not any(token[at : at + 80] in sealed.files(path) for at in range(0, 2_000, 80))
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        finished(sim)
         standing = sim.gate.management.standing(mission.mid)
-        assert (standing.requests, standing.selected) == ({}, {})
+        assert (standing.requests, standing.selected, standing.uses) == ({}, {}, {})
     with sealed.sealing(path) as sim, pytest.raises(AuthGuardError) as again:
         sim.gate.management.activate(worlds.token(mission))
     assert again.value.reason == "REVOKED"
+
+
+def test_the_token_of_a_version_that_another_took_the_place_of_goes_too(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        first = sealed.active(sim)
+        digest = sealed_digest(sim, first)
+        sealed.active(sim, version=2, supersedes=digest)
+        assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
+
+
+def test_answers_that_a_store_holds_go_with_their_records(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = sealed.active(sim)
+        place = f"{mission.mid}:1"
+        sim.gate.ledger.run(lambda act: answered(act, mission.mid, place))
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, PERSON))
+        finished(sim)
+        assert sim.gate.ledger.peek(lambda turn: turn.get("approvals", place)) == b""
+
+
+def answered(act: Act, mid: str, place: str) -> None:
+    act.put("approvals", place, b'["a token"]')
+    opened = {"verb": "answer", "by": "anna", "counter": 1}
+    act.record(entry(act, mid, opened, {"token": "a token"}))
 
 
 def sealed_digest(sim: Simulation, mission: Mission) -> str:
@@ -267,13 +297,39 @@ def test_an_order_is_carried_out_once(path: Path) -> None:
         assert refused(sim, token).reason == "EXPIRED"
 
 
-def test_a_mission_that_goes_on_keeps_its_fields(path: Path) -> None:
+def test_a_mission_that_nobody_ended_keeps_its_fields(path: Path) -> None:
     with sealed.sealing(path, sealed.policy()) as sim:
         mission = sealed.active(sim)
-        told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
-        assert (told.reason, "end it first" in told.message) == ("TRANSITION_REFUSED", True)
-        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + 1_000)
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))  # nothing begins
+        for _ in range(2):
+            told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+            assert (told.reason, "end it first" in told.message) == ("TRANSITION_REFUSED", True)
+            later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + 1_000)  # and expired
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+
+
+def test_a_mission_that_has_the_robots_name_is_not_taken_for_the_records_of_none(
+    path: Path,
+) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        ended(sim, mission=str(worlds.RID))
+        for of in ("-", str(worlds.RID)):
+            told = refused(sim, sealed.shred_order(sim, of, REGION))
+            assert (told.reason, "which is meant" in told.message) == ("TRANSITION_REFUSED", True)
+
+
+def test_what_waited_to_be_recorded_is_destroyed_with_the_rest(path: Path) -> None:
+    waits = RefusalPolicy(delay_ms=100)
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = sealed.active(sim)
+        sim.gate.ledger._refusals.policy = waits
+        worlds.propose(sim, worlds.navigate("dock", "nowhere"))
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+        worlds.propose(sim, GO)  # of a mission that is over: waits
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        finished(sim)
+        sim.gate.ledger.flush(everything=True)
+        assert names(sealed_rows(sim), mission.mid) == set()
 
 
 def expiry_ms(mission: Mission) -> int:
@@ -300,15 +356,15 @@ def kept(*rules: Any) -> Any:
     return sealed.policy(sealed.reader("auditor"), retention=rules)
 
 
-def test_what_is_to_be_kept_is_not_destroyed_before_whatever_was_destroyed_first(
+def test_what_is_to_be_kept_is_not_destroyed_before(
     path: Path,
 ) -> None:
+    """Also by the order for another class: its boxes tell of this one, too."""
     with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=DAY_MS))) as sim:
         mission = ended(sim)
-        told = refused(sim, sealed.shred_order(sim, mission.mid, OBJECT, REGION))
-        assert (told.reason, "kept until" in told.message) == ("NOT_YET_VALID", True)
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, OBJECT))
-        finished(sim)  # the mission's token is gone with it
+        for classes in ((OBJECT, REGION), (OBJECT,), (PERSON,)):
+            told = refused(sim, sealed.shred_order(sim, mission.mid, *classes))
+            assert (told.reason, "kept until" in told.message) == ("NOT_YET_VALID", True)
         assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + DAY_MS - 5_000)
         assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
@@ -355,6 +411,66 @@ def test_retention_ends_by_itself_with_a_record_of_who(path: Path) -> None:
     assert [sealed.told(row).open["by"] for row in verbs(rows, "shred")] == ["retention"] * 2
 
 
+def test_a_mission_that_expired_and_that_nobody_ended_lapses_before(path: Path) -> None:
+    """The robot goes on: nothing of the mission is needed any more, and another one begins."""
+    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
+        mission = sealed.active(sim)
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        (done,) = sim.gate.management.retire()
+        finished(sim)
+        standing = sim.gate.management.standing(mission.mid)
+        assert (done.mid, standing.status) == (mission.mid, "expired")
+        assert sim.gate.ledger.run(lambda act: act.active()) is None
+    with sealed.sealing(path) as sim:
+        assert sim.gate.management.recover(unclean=True) == ()
+    assert [sealed.told(row).open["reasons"] for row in verbs(sealed.rows_of(path), "lapse")] == [
+        ["EXPIRED"]
+    ]
+
+
+def test_what_is_recorded_after_a_mission_was_destroyed_is_destroyed_too(path: Path) -> None:
+    with sealed.sealing(path, kept(sealed.rule(PERSON, most_ms=MINUTE_MS))) as sim:
+        mission = ended(sim)
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        assert len(sim.gate.management.retire()) == 1
+        finished(sim)
+        sim.gate.ledger.run(lambda act: answered(act, mission.mid, "late"))
+        assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
+        later(sim, MINUTE_MS)
+        assert [one.mid for one in sim.gate.management.retire()] == [mission.mid]
+        finished(sim)
+        assert not [name for name in names(sealed_rows(sim), mission.mid) if "person" in name]
+        later(sim, MINUTE_MS)
+        assert sim.gate.management.retire() == ()
+
+
+def test_many_missions_end_a_few_at_a_time(path: Path) -> None:
+    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
+        for number in range(6):
+            last = ended(sim, mission=f"m-{number}")
+        later(sim, expiry_ms(last) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        assert [one.mid for one in sim.gate.management.retire()] == [f"m-{n}" for n in range(4)]
+        later(sim, MINUTE_MS)
+        assert [one.mid for one in sim.gate.management.retire()] == ["m-4", "m-5"]
+        finished(sim)
+        assert sim.gate.ledger.peek(due_missions) == ()
+
+
+def test_a_class_that_was_not_sealed_for_a_while_is_found_before(path: Path) -> None:
+    porter, nurse = sealed.reader("porter", REGION), sealed.reader("nurse", OBJECT)
+    with sealed.sealing(path, sealed.policy(porter, nurse)) as sim:
+        mission = sealed.active(sim)
+        worlds.propose(sim, GO)
+    with sealed.sealing(path, sealed.policy(nurse)) as sim:
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        assert len(done.keys) == 1
+        finished(sim)
+        left = names(sealed_rows(sim), mission.mid)
+        assert not [name for name in left if "region" in name]
+        assert "box.object" in left
+
+
 def test_keys_of_no_mission_are_changed_daily_so_that_they_have_an_end(path: Path) -> None:
     with sealed.sealing(path, kept(sealed.rule(PERSON, most_ms=DAY_MS))) as sim:
         sim.gate.ledger.note(lambda at: said("first", at))
@@ -397,9 +513,8 @@ def test_a_store_whose_keys_are_told_nowhere_is_corrupt(path: Path) -> None:
             sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
         assert error.value.reason == "STORE_CORRUPT"
         damaged(sim, b'{"newest":0}', mission.mid)  # which tells no keys
-        assert (
-            refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "MISSION_UNKNOWN"
-        )
+        with pytest.raises(StoreError, match="tells keys"):
+            sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
     store = apsw.Connection(str(path))
     store.execute("DROP TRIGGER audit_only_forgets")
     store.execute("UPDATE audit SET record = x'00' WHERE seq = 2")
@@ -409,3 +524,43 @@ def test_a_store_whose_keys_are_told_nowhere_is_corrupt(path: Path) -> None:
         with pytest.raises(StoreError) as error:
             sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
         assert error.value.where == "store.audit.2"
+
+
+def forged(sim: Simulation, seq: int, **told: Any) -> None:
+    """Let the newest keys of a mission be told by a record that somebody else wrote."""
+    opened = {"classes": [], "roles": [], **told}
+    kind = Entry(kind="sealing", time_ms=1, decision="sealing", open=opened, mid="m-1")
+    sim.gate.ledger.run(lambda act: append(act._page.turn, kind, salts=b""))
+    damaged(sim, b'{"newest":%d}' % seq, "m-1")
+
+
+@pytest.mark.parametrize("before", [None, "1", 99])
+def test_keys_that_lead_nowhere_are_the_stores_fault_and_no_endless_search(
+    path: Path, before: Any
+) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        ended(sim, mission="m-1")
+        seq = sim.gate.ledger.peek(lambda turn: turn.head())[0]
+        forged(sim, seq, before=before)
+        with pytest.raises(StoreError) as error:
+            sim.gate.management.shred(sealed.shred_order(sim, "m-1", REGION))
+        assert error.value.reason == "STORE_CORRUPT"
+
+
+def test_a_box_that_is_none_is_the_stores_fault(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        lie = Entry(kind="stop", time_ms=1, decision="stop", open={}, sealed={"box.region": 1})
+        sim.gate.ledger.run(lambda act: append(act._page.turn, lie, salts=bytes(16)))
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        with pytest.raises(StoreError, match="expected a box"):
+            finished(sim)
+
+
+def test_a_store_that_does_not_say_when_a_mission_expires_is_corrupt(path: Path) -> None:
+    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
+        mission = ended(sim)
+        sim.gate.ledger.run(lambda act: act.put("sealing-expiry", mission.mid, b"soon"))
+        with pytest.raises(StoreError) as error:
+            sim.gate.management.retire()
+        assert error.value.where == "store.sealing-expiry"

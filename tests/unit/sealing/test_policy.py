@@ -61,7 +61,7 @@ def test_retention_is_of_what_is_sealed_and_contradicts_nothing(
 
 
 def test_rules_of_several_classes_stand_sorted() -> None:
-    rules = (sealed.rule(OBJECT, least_ms=5), sealed.rule(REGION, least_ms=1, most_ms=1))
+    rules = (sealed.rule(OBJECT, least_ms=5), sealed.rule(REGION, least_ms=1, most_ms=5))
     require_retention(rules, (READER,), where="retention")
     with pytest.raises(MalformedError):
         require_retention(rules[::-1], (READER,), where="retention")

@@ -23,7 +23,7 @@ from authguard_r.core.errors import AuthenticityError, MalformedError, StoreErro
 from authguard_r.core.ports import Turn
 from authguard_r.ledger import Act
 from authguard_r.sealing import KeyRing, SealingPolicy
-from authguard_r.sealing.kept import HELD, newest_keys, policy_of
+from authguard_r.sealing.kept import HELD, hold_policy, newest_keys, policy_of
 from authguard_r.sealing.sealer import Sealer
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
@@ -38,6 +38,12 @@ def path(tmp_path: Path) -> Path:
 
 def tellings(rows: list[Row]) -> list[Row]:
     return [row for row in rows if sealed.told(row).kind == SEALING]
+
+
+def here(turn: Turn, *mids: str) -> None:
+    """Let missions be known: only these have keys of their own."""
+    for mid in mids:
+        turn.put("standing", mid, b"{}")
 
 
 def note(mid: str = "m-1", **more: Any) -> Entry:
@@ -105,6 +111,7 @@ def test_what_was_not_committed_was_told_to_nobody_and_seals_nothing(path: Path)
 
     genesis = Entry(kind="genesis", time_ms=1, decision="genesis", open={"robot": worlds.RID})
     store.run(lambda turn: append(turn, genesis, salts=b""))
+    store.run(lambda turn: here(turn, "m-1"))
     with pytest.raises(ZeroDivisionError):
         store.run(fails)
     store.run(lambda turn: sealer.append(turn, note(), salts=worlds.random_bytes))
@@ -114,8 +121,12 @@ def test_what_was_not_committed_was_told_to_nobody_and_seals_nothing(path: Path)
     assert sealed.values(sealed.opened(rows)[2]) == {"why": "m-1"}
 
 
-def test_few_keys_are_in_memory_and_a_mission_that_comes_back_has_new_ones() -> None:
+def test_few_keys_are_in_memory_and_a_mission_that_comes_back_has_new_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("authguard_r.sealing.sealer._MOST_COVERS", 4)
     store, sealer = MemoryStore(), Sealer(worlds.RID, sealed.policy())
+    store.run(lambda turn: here(turn, *"abcdef"))
     for mid in ("a", "b", "c", "d", "a", "e", "f", "b"):
         store.run(lambda turn, m=mid: sealer.append(turn, note(m), salts=worlds.random_bytes))
     rows = store.rows()
@@ -127,8 +138,36 @@ def test_few_keys_are_in_memory_and_a_mission_that_comes_back_has_new_ones() -> 
     assert store.read(lambda turn: newest_keys(turn, "never")) is None
 
 
+def test_what_is_of_no_mission_that_was_ever_here_is_sealed_under_the_keys_of_none() -> None:
+    """A template's record, an answer to a mission that nobody knows: no missions' names."""
+    store, sealer = MemoryStore(), Sealer(worlds.RID, sealed.policy())
+    for mid in ("template-1", "-", "no-mission"):
+        store.run(lambda turn, m=mid: sealer.append(turn, note(m), salts=worlds.random_bytes))
+    told = [sealed.told(row) for row in store.rows() if sealed.told(row).kind == SEALING]
+    assert [record.link.mid for record in told] == ["-"]
+    assert sealed.values(sealer.opened(store.rows()[-1])) == {"why": "no-mission"}
+
+
+def test_keys_of_a_turn_that_was_dropped_are_nobody_elses() -> None:
+    """Another mission's keys were told under the number that the first one's would have had."""
+    store, sealer = MemoryStore(), Sealer(worlds.RID, sealed.policy())
+    store.run(lambda turn: here(turn, "a", "b"))
+
+    def fails(turn: Turn) -> None:
+        sealer.append(turn, note("a"), salts=worlds.random_bytes)
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        store.run(fails)
+    store.run(lambda turn: sealer.append(turn, note("b"), salts=worlds.random_bytes))
+    sealer.forget("b")
+    row = store.rows()[-1]
+    assert sealer.opened(row) == row  # closed, and nothing is wrong with it
+
+
 def test_a_store_that_holds_nonsense_of_keys_is_corrupt() -> None:
     store, sealer = MemoryStore(), Sealer(worlds.RID, sealed.policy())
+    store.run(lambda turn: here(turn, "m-1"))
     store.run(lambda turn: turn.put(HELD, "m-1", b"[]"))
     with pytest.raises(StoreError) as refused:
         store.run(lambda turn: sealer.append(turn, note(), salts=worlds.random_bytes))
@@ -178,9 +217,14 @@ def test_a_gate_whose_configuration_says_so_seals_no_more(path: Path) -> None:
 
 def test_a_new_store_without_a_policy_holds_none() -> None:
     store = MemoryStore()
-    assert policy_of(store, None) == policy_of(store, SealingPolicy()) == SealingPolicy()
+    for given in (None, SealingPolicy()):
+        hold_policy(store, given)
+        assert policy_of(store, given) == SealingPolicy()
     assert store.read(lambda turn: turn.get("sealing-policy", "newest")) is None
-    assert policy_of(store, sealed.policy()) == policy_of(store, None) == sealed.policy()
+    hold_policy(store, sealed.policy())
+    hold_policy(store, None)
+    assert policy_of(store, None) == sealed.policy()
+    assert policy_of(store, SealingPolicy()) == SealingPolicy()
     store.run(lambda turn: turn.put("sealing-policy", "newest", b"?"))
     with pytest.raises(StoreError):
         policy_of(store, None)
