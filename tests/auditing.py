@@ -22,8 +22,8 @@ import worlds
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.witnesses import request
 from authguard_r.assembly import folder_signer
-from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.boxes import DataClass
+from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import (
     Note,
     NoteKey,

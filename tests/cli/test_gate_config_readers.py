@@ -73,7 +73,7 @@ def test_readers_and_how_long_are_written_signed_and_read_by_a_gate(shell: Shell
     wrote(
         f"\n  - {{role: porter, classes: [region], key: {porter.text()}}}"
         f"\n  - {{role: auditor, classes: [person, {', '.join(EVERY)}], key: {auditor.text()}}}",
-        "\n  - {class: region, least: 30 d, most: 90 d}\n  - {class: person, most: 36 h}"
+        "\n  - {class: region, least: 1 d, most: 90 d}\n  - {class: person, most: 36 h}"
         "\n  - {class: object, least: 1 d}",
     )
     code, text = shell(*SIGN)
@@ -86,7 +86,7 @@ def test_readers_and_how_long_are_written_signed_and_read_by_a_gate(shell: Shell
     assert config.retention == (
         Retention(data=DataClass.OBJECT, least_ms=DAY_MS),
         Retention(data=DataClass.PERSON, most_ms=36 * 3_600_000),
-        Retention(data=DataClass.REGION, least_ms=30 * DAY_MS, most_ms=90 * DAY_MS),
+        Retention(data=DataClass.REGION, least_ms=DAY_MS, most_ms=90 * DAY_MS),
     )
     code, card = shell("gate-config", "show", "gate.token", "--trust", "trust")
     assert code == 0
@@ -95,13 +95,13 @@ def test_readers_and_how_long_are_written_signed_and_read_by_a_gate(shell: Shell
         f"  reader auditor: {', '.join(EVERY)}, with the key {auditor.name}\n",
         "  object: kept 1 d at least, destroyed by order alone\n",
         "  person: kept 0 d at least, destroyed after 36 h\n",
-        "  region: kept 30 d at least, destroyed after 90 d\n",
+        "  region: kept 1 d at least, destroyed after 90 d\n",
     ):
         assert line in card
     code, told = shell.json("gate-config", "show", "gate.token", "--trust", "trust")
     assert told["config"]["retention"][2] == {
         "data": "region",
-        "least_ms": 30 * DAY_MS,
+        "least_ms": DAY_MS,
         "most_ms": 90 * DAY_MS,
     }
 
@@ -204,6 +204,12 @@ def test_a_private_key_in_the_place_of_the_public_one_is_refused(shell: Shell) -
             ":retention[0].most",
         ),
         ("[{role: a, classes: [region], key: KEY}]", "[{data: region}]", "retention[0]"),
+        # its boxes tell of the other class too, which is to be kept
+        (
+            "[{role: a, classes: [object, region], key: KEY}]",
+            "[{class: object, least: 2 d}, {class: region, most: 1 d}]",
+            ":retention[1]",
+        ),
     ],
 )
 def test_what_no_gate_would_take_is_refused_with_its_place(

@@ -516,7 +516,7 @@ def test_what_was_destroyed_is_said_to_be_whoever_asks(
     code, text = say("audit", "replay", path, *key)
     assert code == 0
     assert "not replayable 4 (record " in text
-    assert "destroyed: action, approvals, standing\n" in text
+    assert "destroyed: action, approvals, standing, state\n" in text
     code, found = say_json("audit", "verify", path, *world.key("auditor"))
     assert (code, found["whole"]) == (0, True)
 

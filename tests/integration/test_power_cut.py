@@ -429,7 +429,7 @@ def test_a_thousand_power_cuts_lose_nothing_acknowledged() -> None:
         dice = random.Random(f"{SEED}-{life}")
         lives.append(one_life(dice, cuts=cuts, synchronous="FULL"))
     acknowledged, in_checkpoints, kept = map(sum, zip(*lives, strict=True))
-    print(f"{acknowledged} acknowledged, {in_checkpoints} cuts in a checkpoint, {kept} of them kept")
+    print(f"{acknowledged} acknowledged, {in_checkpoints} cuts in checkpoints, {kept} kept")
     assert acknowledged > 250 * cuts * 5  # the cuts fall among acts, not only while opening
     # and some inside a checkpoint's commit, on either side of the moment from which it lasts
     assert in_checkpoints >= 250 * cuts // 100

@@ -15,11 +15,15 @@ import pytest
 
 import worlds
 from auditing import QUORUM, Genuine, genuine
-from authguard_r.audit.record import read_record
+from authguard_r.assembly import Simulation
+from authguard_r.audit.record import Record, read_record
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.cli import call
 from authguard_r.cli.exported import note_line, row_line
-from authguard_r.core.errors import StoreError
+from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
+from authguard_r.normalize import normalize
+from authguard_r.safety.envelope import EnvelopeGate
+from authguard_r.sim.robot import Faults
 from authguard_r.store.sqlite import open_store, read_rows
 from logs import edited, rechained
 
@@ -82,6 +86,70 @@ def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(desk: D
     assert desk.verify(desk.log.rows[:-1], *key)[0] == 1
     code, _, text = desk.verify(desk.log.rows, *key)
     assert (code, "what was after it may be gone" in text) == (0, True)
+
+
+#: What goes wrong on the way to the controller, what is recorded of it, and with which reason.
+PATHS: dict[str, tuple[str, str]] = {
+    "a plan that cannot be read": ("refusal", "TOOL_UNKNOWN"),
+    "a mission that is no token": ("refusal", "MALFORMED"),
+    "a mission that is here already": ("refusal", "TRANSITION_REFUSED"),
+    "an action outside of it": ("decision", "DESTINATION_OUT_OF_SCOPE"),
+    "a fault of the gate's own": ("refusal", "INTERNAL_FAULT"),
+    "a robot that does not begin": ("outcome", "CONTROLLER_FAILED"),
+    "an action of no mission": ("refusal", "NO_ACTIVE_MISSION"),
+}
+
+
+def take(path: str, monkeypatch: pytest.MonkeyPatch) -> Simulation:
+    """Return a gate on which this has just gone wrong."""
+    fails = Faults(controller_refuses=path == "a robot that does not begin")
+    sim = worlds.simulation(faults=fails)
+    if path != "an action of no mission":
+        sim.gate.management.activate(worlds.token())
+    if path == "a fault of the gate's own":
+        monkeypatch.delattr(EnvelopeGate, "assess")
+    if path == "a plan that cannot be read":
+        with pytest.raises(MalformedError) as error:
+            normalize(b'{"tool": "fly", "arguments": {}}', binder=sim.binder)
+        sim.gate.enforcer.refuse_plan(error.value, planner="planner")
+    elif path.startswith("a mission"):
+        with pytest.raises(AuthGuardError):
+            sim.gate.management.activate(b"{" if path.endswith("token") else worlds.token())
+    else:
+        goal = "nowhere" if path == "an action outside of it" else "pharmacy"
+        worlds.propose(sim, worlds.navigate("dock", goal))
+    return sim
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_l8_every_way_in_which_something_goes_wrong_leaves_a_record(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over the gate's socket: unit/gate/test_service.py, integration/test_gate_bad_input.py."""
+    last = records(take(path, monkeypatch))[-1]
+    kind, reason = PATHS[path]
+    assert (last.kind, last.open["reasons"][0]) == (kind, reason)
+
+
+def test_l8_a_stop_that_does_not_count_any_more_is_recorded_like_the_others() -> None:
+    """No stop is refused; past a planner's budget an alert stands beside it.
+
+    A flood of them is counted, and the count recorded: unit/test_stopping.py. A lane on its own
+    tells its stops later: lessons/test_running_gate.py.
+    """
+    sim = worlds.simulation()
+    mission = worlds.mission()
+    sim.gate.management.activate(worlds.token(mission))
+    before, stops = len(records(sim)), mission.budgets.planner_stops + 3
+    for _ in range(stops):
+        sim.gate.enforcer.stop(by="planner", is_planner=True)
+    kinds = [record.kind for record in records(sim)[before:]]
+    assert (kinds.count("stop"), kinds.count("alert")) == (stops, 1)
+
+
+def records(sim: Simulation) -> list[Record]:
+    rows = sim.gate.ledger.store.rows()  # type: ignore[attr-defined]
+    return [read_record(row.record, where="") for row in rows]
 
 
 def test_l8_records_that_are_written_at_once_make_one_chain(tmp_path: Path) -> None:

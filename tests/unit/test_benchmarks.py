@@ -241,8 +241,7 @@ def test_a_night_fails_by_what_no_clock_enters_alone_and_its_result_is_kept(
     kept = tmp_path / "log-night.json"
     code = run.main(["--quick", "--json", str(kept), "--disk", str(tmp_path)])
     assert code == (1 if missed else 0)
-    out, errors = capsys.readouterr()
-    assert errors == (f"missed: {', '.join(missed)}\n" if missed else "")
+    assert capsys.readouterr().err == (f"missed: {', '.join(missed)}\n" if missed else "")
     figures = {one["id"]: one for one in json.loads(kept.read_text())["figures"]}
     assert figures["log_append_growth"]["meets"] is False
     assert [key for key in figures if key in run.UNTIMED and not figures[key]["meets"]] == missed

@@ -369,7 +369,7 @@ def _require_copies(connection: apsw.Connection, segments: Segments) -> None:
         moved = segments.rows(seq, seq + 1)
         if [(row[1], row[3]) for row in moved] != [(record, link)]:
             raise StoreError(
-                "a record lies here that is not the one in its segment",
+                f"record {seq} lies here, and is not the one in its segment",
                 where=f"record {seq}",
                 reason=Reason.STORE_CORRUPT,
             )
