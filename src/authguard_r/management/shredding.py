@@ -194,7 +194,7 @@ def _required(
         text = "nothing is sealed there, or it is destroyed already"
         raise refuse(Reason.MISSION_UNKNOWN, text, "command.mid")
     least_ms = max((rule.least_ms for rule in parts.retention), default=0)
-    over_ms = 0 if mid == NONE or not least_ms else expiry_ms(act, mid)
+    over_ms = 0 if mid == NONE or not least_ms else expiry_ms(act, MissionId(mid))
     ends = [key.until_ms if mid == NONE else over_ms for key in keys]
     ripe = tuple(
         key

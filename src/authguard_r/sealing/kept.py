@@ -64,14 +64,19 @@ def hold_expiry(act: Act, mid: MissionId, expiry_ms: int) -> None:
     act.put(_EXPIRY, mid, str(expiry_ms).encode("ascii"))
 
 
-def expiry_ms(act: Act, mid: str) -> int:
+def expiry_ms(act: Act, mid: MissionId) -> int:
     """Return when the newest version of a mission expires.
 
+    Of one from before a store held that, what is kept is kept from now on.
+
     Raises:
-        StoreError: the store does not say.
+        StoreError: what the store holds is no time.
     """
     held = act.get(_EXPIRY, mid)
-    if not held or not held.isdigit():
+    if held is None:
+        hold_expiry(act, mid, act.now.utc_ms)
+        return act.now.utc_ms
+    if not held.isdigit():
         text = f"when `{mid}` expires is not held"
         raise StoreError(text, where=f"store.{_EXPIRY}", reason=Reason.STORE_CORRUPT)
     return int(held)

@@ -29,6 +29,7 @@ from authguard_r.management.parts import entry
 from authguard_r.management.shredding import DAY_MS, PAGE
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.sealing.kept import HELD, due_missions
+from authguard_r.sealing.kept import expiry_ms as expiry_of
 
 REGION, OBJECT, PERSON = DataClass.REGION, DataClass.OBJECT, DataClass.PERSON
 GO = worlds.navigate("dock", "pharmacy")
@@ -555,6 +556,16 @@ def test_a_box_that_is_none_is_the_stores_fault(path: Path) -> None:
         sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
         with pytest.raises(StoreError, match="expected a box"):
             finished(sim)
+
+
+def test_a_mission_of_before_is_kept_from_when_somebody_asked(path: Path) -> None:
+    with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=MINUTE_MS))) as sim:
+        mission = ended(sim)
+        ledger = sim.gate.ledger
+        ledger.store._connection.execute("DELETE FROM held WHERE kind = 'sealing-expiry'")
+        ledger.store._turn.reread()
+        at = ledger.run(lambda act: expiry_of(act, mission.mid))
+        assert at == ledger.run(lambda act: expiry_of(act, mission.mid)) <= ledger.now().utc_ms
 
 
 def test_a_store_that_does_not_say_when_a_mission_expires_is_corrupt(path: Path) -> None:
