@@ -441,6 +441,9 @@ def is_asked(act: Act, approval: Approval) -> bool:
 def _token(act: Act, digest: Digest) -> bytes:
     """Return a mission version as it was taken in: a token, or a template's and its instance's."""
     held = act.token(digest)
+    if held is None and act.get("token", digest) is not None:
+        text = "the mission is over, and its token is not kept any more"
+        raise RefusedError(text, reason=Reason.TRANSITION_REFUSED, where="mission")
     if held is None:
         raise _corrupt("the mission's token is gone")
     return held

@@ -407,8 +407,6 @@ class Act:
         self.put("standing", standing.mid, held)
         self._decoded[standing.mid] = (held, standing)
         self.held[standing.mid] = standing
-        if standing.status in TERMINAL and not standing.open:
-            self.drop_token(standing.digest)
 
     def active(self) -> MissionId | None:
         """Return the one mission that is active on this robot."""

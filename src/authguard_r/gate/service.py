@@ -358,7 +358,8 @@ class Service:
         quietly(self.gate.ledger.flush)
 
     def _shred(self) -> None:
-        quietly(self.gate.management.retire)
+        if quietly(self.gate.management.retire):
+            self.view.mission_changed()
         quietly(self.gate.management.shred_on)
 
     def _listen(self) -> None:

@@ -21,7 +21,7 @@ from authguard_r.ledger import Act
 from authguard_r.management.parts import Parts, entry, go_on, refuse, replayed
 from authguard_r.management.repetition import Used, use_instance
 from authguard_r.management.rollback import require_later
-from authguard_r.sealing.kept import hold_expiry
+from authguard_r.sealing.kept import drop_last, hold_expiry
 
 #: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
 _ENDS: dict[Reason, Event] = {
@@ -64,6 +64,7 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     hold_expiry(act, mission.mid, verified.expiry_ms)
     if known is not None:
         act.drop_token(known.digest)
+    drop_last(act, mission.mid, verified.digest)
     act.hold(active)
     act.make_active(mission.mid)
     go_on(act)

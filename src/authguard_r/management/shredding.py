@@ -19,7 +19,7 @@ from authguard_r.audit.boxes import BOX, SEALING, WRAP, Box, DataClass
 from authguard_r.audit.record import NONE, Entry, Record, Sealed, read_record, read_sealed
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, encode
-from authguard_r.core.errors import MalformedError, StoreError
+from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
 from authguard_r.core.identifiers import Count, MissionId
 from authguard_r.core.lifecycle import TERMINAL
 from authguard_r.core.quantities import to_timestamp
@@ -94,6 +94,8 @@ def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
     act.record_waiting()  # a refusal that comes behind the order would have keys of its own
     mid = _meant(act, command.mid, parts)
     keys = _required(act, mid, command.shreds, parts)
+    if mid != NONE:
+        _end(act, MissionId(mid), parts)
     act.put("command", command.nonce, b"1")
     told = entry(act, NONE, {"verb": Verb.SHRED, "by": signer.id, "role": signer.role})
     return _begin(act, mid, command.shreds, keys, replace(told, sealed={"command": command}))
@@ -102,28 +104,30 @@ def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
 def retire(act: Act, *, parts: Parts) -> tuple[Shredding, ...]:
     """Destroy what was kept as long as the signed retention says; some of it, at most.
 
-    A mission that expired and that nobody ended lapses before.
+    A mission that expired and that nobody ended lapses before; one of which nobody knows how an
+    action ended waits until somebody says it.
     """
     rules = {rule.data: rule.most_ms for rule in parts.retention if rule.most_ms}
     if not rules:
         return ()
     due = due_missions(act)
-    looked, left = due[:_MOST_DUE], list(due[_MOST_DUE:])
+    ripe = {mid: _ripe(act, mid, rules, parts) for mid in due[:_MOST_DUE]}
+    begin = [mid for mid, classes in ripe.items() if _told(act, mid, classes)][:_MOST_BEGUN]
     begun: list[Shredding] = []
-    for mid in looked:
-        over_ms = expiry_ms(act, mid)
-        ripe = tuple(d for d, most_ms in rules.items() if over_ms + most_ms <= act.now.utc_ms)
-        there = tuple(data for data in ripe if _keys(act, mid, (data,), most=1))
-        if there and len(begun) < _MOST_BEGUN:
-            _end(act, mid, parts)
-            begun += _retired(act, mid, there, 0)
-            there = ()
-        if there or len(ripe) < len(rules):
-            left.append(mid)
-    if tuple(left) != due:
-        hold_due(act, tuple(left))
-    for data, most_ms in rules.items():
-        begun += _retired(act, NONE, (data,), act.now.utc_ms - most_ms)
+    if begin:
+        act.record_waiting()  # else they would come behind it, under keys of their own
+    for mid in begin:
+        if _end(act, mid, parts):
+            begun += _retired(act, mid, _told(act, mid, ripe[mid]), 0)
+    over = {mid for mid, c in ripe.items() if len(c) == len(rules) and not _told(act, mid, c)}
+    waits = tuple(mid for mid in due_missions(act) if mid not in over)
+    if len(due) > _MOST_DUE:
+        waits = (*waits[_MOST_DUE:], *waits[:_MOST_DUE])
+    if waits != due:
+        hold_due(act, waits)
+    for most_ms in sorted(set(rules.values())):
+        classes = tuple(data for data, ms in rules.items() if ms == most_ms)
+        begun += _retired(act, NONE, classes, act.now.utc_ms - most_ms)
     newest = _keys(act, NONE, tuple(rules), most=1)
     if newest and act.now.utc_ms - newest[0].since_ms >= DAY_MS:
         act.forget_keys(NONE)  # the next record makes others, so that these have an end
@@ -189,12 +193,15 @@ def _required(
     if standing is not None and standing.status not in TERMINAL:
         text = f"the mission is {standing.status}: end it first"
         raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
+    if standing is not None and standing.open:
+        text = "nobody has said how an action of it ended: `authguard mission resolve` first"
+        raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
     keys = _keys(act, mid, classes)
     if not keys:
         text = "nothing is sealed there, or it is destroyed already"
         raise refuse(Reason.MISSION_UNKNOWN, text, "command.mid")
     least_ms = max((rule.least_ms for rule in parts.retention), default=0)
-    over_ms = 0 if mid == NONE or not least_ms else expiry_ms(act, MissionId(mid))
+    over_ms = 0 if mid == NONE or not least_ms else _over_ms(act, MissionId(mid), parts)
     ends = [key.until_ms if mid == NONE else over_ms for key in keys]
     ripe = tuple(
         key
@@ -207,12 +214,50 @@ def _required(
     return ripe
 
 
-def _end(act: Act, mid: MissionId, parts: Parts) -> None:
-    """Let a mission lapse that expired and that nobody ended."""
+def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
+    """Return when the newest version of a mission expires.
+
+    Raises:
+        StoreError: neither the store nor a token that is still there says so.
+    """
+    known = expiry_ms(act, mid)
+    standing = act.standing(mid)
+    if known is not None or standing is None:
+        return known or 0
+    return parts.intake.held(act, standing.digest).expiry_ms
+
+
+def _ripe(
+    act: Act, mid: MissionId, rules: dict[DataClass, int], parts: Parts
+) -> tuple[DataClass, ...]:
+    """Return the classes of a mission that have no more time; none where nobody can say it."""
+    try:
+        over_ms = _over_ms(act, mid, parts)
+        ripe = tuple(d for d, most_ms in rules.items() if over_ms + most_ms <= act.now.utc_ms)
+        _told(act, mid, ripe)
+    except AuthGuardError:  # one damaged mission keeps no other from its end
+        return ()
+    return ripe
+
+
+def _told(act: Act, mid: MissionId, classes: tuple[DataClass, ...]) -> tuple[DataClass, ...]:
+    """Return those of the classes whose keys are told for a mission."""
+    return tuple(data for data in classes if _keys(act, mid, (data,), most=1))
+
+
+def _end(act: Act, mid: MissionId, parts: Parts) -> bool:
+    """Let go of a mission that is over, or that expired and that nobody ended.
+
+    Returns:
+        False: it goes on, or nobody knows how an action of it ended.
+    """
     ended = lapsed(act, act.standing(mid), parts)
-    if ended is not None and ended.status in TERMINAL and act.active() == mid:
+    if ended is None or ended.status not in TERMINAL or ended.open:
+        return False
+    if act.active() == mid:
         act.make_active(None)
         parts.intake.forget()
+    return True
 
 
 def _retired(
@@ -279,11 +324,12 @@ def _begin(
     """Destroy the wrapped keys, and note what is left to do; the record is of no mission."""
     for key in keys:
         act.forget(key.seq, key.names)
-    act.forget_keys(mid)
+    if newest_keys(act, mid) in {key.seq for key in keys}:
+        act.forget_keys(mid)
     standing = None if mid == NONE else act.standing(MissionId(mid))
-    if standing is not None and standing.status in TERMINAL:
-        # a terminal mission uses, asks and chooses nothing more; what it did, the log says
+    if standing is not None:  # over: it uses, asks and chooses nothing more, and the log has it
         act.hold(replace(standing, requests={}, selected={}, uses={}))
+        act.drop_token(standing.digest)
     opened = {"of": mid, "classes": list(classes), "keys": len(keys)}
     job = Shredding(
         mid=mid,

@@ -10,7 +10,8 @@ from msgspec import Struct
 
 from authguard_r.core.encoding import encode
 from authguard_r.core.errors import StoreError
-from authguard_r.core.identifiers import Count, MissionId
+from authguard_r.core.identifiers import Count, Digest, MissionId
+from authguard_r.core.lifecycle import TERMINAL
 from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.ledger import Act, read_held
@@ -20,6 +21,8 @@ from authguard_r.sealing.policy import SealingPolicy
 HELD = "sealing"
 #: Where it holds what the last gate sealed, and the missions whose fields have an end to come.
 POLICY, _NEWEST, _DUE = "sealing-policy", "newest", "due"
+#: Where it holds which mission's token was taken in last.
+_LAST = "last"
 #: Where it holds when a mission expires.
 _EXPIRY = "sealing-expiry"
 
@@ -64,22 +67,32 @@ def hold_expiry(act: Act, mid: MissionId, expiry_ms: int) -> None:
     act.put(_EXPIRY, mid, str(expiry_ms).encode("ascii"))
 
 
-def expiry_ms(act: Act, mid: MissionId) -> int:
-    """Return when the newest version of a mission expires.
+def drop_last(act: Act, mid: MissionId, digest: Digest) -> None:
+    """Keep the token of the mission that was active before no longer, once it is over.
 
-    Of one from before a store held that, what is kept is kept from now on.
+    Args:
+        act: the activation of the next one.
+        mid: that one's.
+        digest: that one's.
+    """
+    last, _, before = (act.get(POLICY, _LAST) or b"").decode("ascii", "replace").partition(" ")
+    standing = act.standing(MissionId(last)) if last and last != mid else None
+    if standing is not None and standing.status in TERMINAL and not standing.open:
+        act.drop_token(Digest(before))
+    act.put(POLICY, _LAST, f"{mid} {digest}".encode("ascii"))
+
+
+def expiry_ms(act: Act, mid: MissionId) -> int | None:
+    """Return when the newest version of a mission expires; None: it is one of before.
 
     Raises:
         StoreError: what the store holds is no time.
     """
     held = act.get(_EXPIRY, mid)
-    if held is None:
-        hold_expiry(act, mid, act.now.utc_ms)
-        return act.now.utc_ms
-    if not held.isdigit():
-        text = f"when `{mid}` expires is not held"
+    if held is not None and not held.isdigit():
+        text = f"expected when `{mid}` expires"
         raise StoreError(text, where=f"store.{_EXPIRY}", reason=Reason.STORE_CORRUPT)
-    return int(held)
+    return None if held is None else int(held)
 
 
 def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:

@@ -11,6 +11,7 @@ from typing import Any
 
 import apsw
 import pytest
+from msgspec.structs import replace
 
 import sealed
 import worlds
@@ -24,6 +25,7 @@ from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_ms
+from authguard_r.core.standing import OpenRelease, Spend
 from authguard_r.ledger import Act
 from authguard_r.management.parts import entry
 from authguard_r.management.shredding import DAY_MS, PAGE
@@ -124,31 +126,70 @@ def test_an_order_destroys_a_class_for_every_reader_and_the_chain_stays_whole(pa
     assert sealed.told(end).open["boxes"] > 0
 
 
-def test_what_a_store_holds_of_the_mission_beside_its_log_goes_at_its_end(path: Path) -> None:
+def in_files(token: bytes, path: Path) -> bool:
+    return any(token[at : at + 80] in sealed.files(path) for at in range(0, 2_000, 80))
+
+
+def test_what_a_store_holds_of_a_mission_beside_its_log_goes_with_it(path: Path) -> None:
     with sealed.sealing(path, sealed.policy()) as sim:
-        mission = sealed.active(sim)
+        mission = ended(sim)
         digest = sealed_digest(sim, mission)
         token = sim.gate.ledger.peek(lambda turn: turn.get("token", digest))
-        assert token is not None  # a restart needs it
-        worlds.propose(sim, GO)
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
-        assert not any(token[at : at + 80] in sealed.files(path) for at in range(0, 2_000, 80))
+        assert token is not None
+        assert in_files(token, path)  # whoever asks about it is still told
         sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        assert not in_files(token, path)
         finished(sim)
         standing = sim.gate.management.standing(mission.mid)
         assert (standing.requests, standing.selected, standing.uses) == ({}, {}, {})
-    with sealed.sealing(path) as sim, pytest.raises(AuthGuardError) as again:
-        sim.gate.management.activate(worlds.token(mission))
-    assert again.value.reason == "REVOKED"
+        assert sim.gate.ledger.run(lambda act: act.active()) is None
+        for act in (
+            lambda: sim.gate.management.activate(worlds.token(mission)),
+            lambda: sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission)),
+            lambda: sealed.active(sim, version=2, supersedes=digest),
+        ):
+            with pytest.raises(AuthGuardError) as again:
+                act()
+            assert again.value.reason in {"REVOKED", "TRANSITION_REFUSED"}
+    with sealed.sealing(path) as sim:
+        assert sim.gate.management.recover(unclean=True) == ()
+        sealed.active(sim, mission="another")
 
 
-def test_the_token_of_a_version_that_another_took_the_place_of_goes_too(path: Path) -> None:
+def test_the_token_of_what_another_took_the_place_of_goes(path: Path) -> None:
     with sealed.sealing(path, sealed.policy()) as sim:
         first = sealed.active(sim)
-        digest = sealed_digest(sim, first)
-        sealed.active(sim, version=2, supersedes=digest)
-        assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
+        one = sealed_digest(sim, first)
+        second = sealed.active(sim, version=2, supersedes=one)
+        two = sealed_digest(sim, second)
+        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, second))
+        sealed.active(sim, mission="another")
+        for digest in (one, two):
+            assert sim.gate.ledger.peek(lambda turn, d=digest: turn.get("token", d)) == b""
+
+
+def test_a_mission_of_which_something_is_open_is_not_destroyed(path: Path) -> None:
+    """How an action ended is said under the mission's own token."""
+    rules = kept(sealed.rule(REGION, most_ms=MINUTE_MS))
+    with sealed.sealing(path, rules) as sim:
+        mission = ended(sim)
+        opens(sim, mission, is_open=True)
+        told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+        assert (told.reason, "resolve" in told.message) == ("TRANSITION_REFUSED", True)
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        assert sim.gate.management.retire() == ()
+        assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
+        opens(sim, mission, is_open=False)
+        later(sim, MINUTE_MS)
+        assert len(sim.gate.management.retire()) == 1
+
+
+def opens(sim: Simulation, mission: Mission, *, is_open: bool) -> None:
+    """Let nobody know how an action ended, or settle it."""
+    standing = sim.gate.management.standing(mission.mid)
+    release = OpenRelease(ticket=b64(bytes(32)), grant=mission.actions[0].id, reserved=Spend())
+    changed = replace(standing, open=(release,) if is_open else ())
+    sim.gate.ledger.run(lambda act: act.hold(changed))
 
 
 def test_answers_that_a_store_holds_go_with_their_records(path: Path) -> None:
@@ -558,20 +599,70 @@ def test_a_box_that_is_none_is_the_stores_fault(path: Path) -> None:
             finished(sim)
 
 
-def test_a_mission_of_before_is_kept_from_when_somebody_asked(path: Path) -> None:
-    with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=MINUTE_MS))) as sim:
+def test_of_a_mission_of_before_its_token_says_when_it_expires(path: Path) -> None:
+    rules = kept(sealed.rule(REGION, least_ms=MINUTE_MS, most_ms=DAY_MS))
+    with sealed.sealing(path, rules) as sim:
         mission = ended(sim)
-        ledger = sim.gate.ledger
-        ledger.store._connection.execute("DELETE FROM held WHERE kind = 'sealing-expiry'")
-        ledger.store._turn.reread()
-        at = ledger.run(lambda act: expiry_of(act, mission.mid))
-        assert at == ledger.run(lambda act: expiry_of(act, mission.mid)) <= ledger.now().utc_ms
+        before(sim)
+        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS)
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        before(sim)  # and the token is gone: nobody can say it
+        later(sim, 2 * DAY_MS)
+        assert sim.gate.management.retire() == ()
 
 
-def test_a_store_that_does_not_say_when_a_mission_expires_is_corrupt(path: Path) -> None:
+def before(sim: Simulation) -> None:
+    """Forget when missions expire, as a store of before."""
+    store: Any = sim.gate.ledger.store
+    store._connection.execute("DELETE FROM held WHERE kind = 'sealing-expiry'")
+    store._turn.reread()
+
+
+def test_one_damaged_mission_keeps_no_other_from_its_end(path: Path) -> None:
     with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
-        mission = ended(sim)
-        sim.gate.ledger.run(lambda act: act.put("sealing-expiry", mission.mid, b"soon"))
+        first, second = ended(sim), ended(sim, mission="second")
+        sim.gate.ledger.run(lambda act: act.put("sealing-expiry", first.mid, b"soon"))
+        later(sim, expiry_ms(second) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        assert [one.mid for one in sim.gate.management.retire()] == ["second"]
         with pytest.raises(StoreError) as error:
-            sim.gate.management.retire()
+            sim.gate.ledger.run(lambda act: expiry_of(act, first.mid))
         assert error.value.where == "store.sealing-expiry"
+
+
+def test_what_is_written_at_a_missions_end_does_not_escape_it(path: Path) -> None:
+    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
+        mission = sealed.active(sim)
+        later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
+        sim.gate.ledger._refusals.policy = RefusalPolicy(delay_ms=100)
+        worlds.propose(sim, GO)  # too late: waits to be recorded
+        assert len(sim.gate.management.retire()) == 1
+        finished(sim)
+        sim.gate.ledger.flush(everything=True)
+        left = names(sealed_rows(sim), mission.mid)
+        assert not [name for name in left if "region" in name]
+
+
+def test_the_end_of_records_of_no_mission_begins_nothing_new(path: Path) -> None:
+    """The record of a destruction is of no mission, too: it must not feed itself."""
+    rules = kept(sealed.rule(OBJECT, most_ms=MINUTE_MS), sealed.rule(PERSON, most_ms=MINUTE_MS))
+    with sealed.sealing(path, rules) as sim:
+        sim.gate.ledger.note(lambda at: said("first", at))
+    with sealed.sealing(path) as sim:
+        sim.gate.ledger.note(lambda at: said("second", at))
+        begun = []
+        for _ in range(12):
+            later(sim, 2 * MINUTE_MS)
+            begun += sim.gate.management.retire()
+            finished(sim)
+    assert [(one.mid, one.classes) for one in begun] == [("-", (OBJECT, PERSON))]
+
+
+def test_more_missions_than_are_looked_at_take_their_turns(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("authguard_r.management.shredding._MOST_DUE", 2)
+    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=DAY_MS))) as sim:
+        mids = [ended(sim, mission=f"m-{number}").mid for number in range(3)]
+        sim.gate.management.retire()
+        assert sim.gate.ledger.peek(due_missions) == (mids[2], mids[0], mids[1])
