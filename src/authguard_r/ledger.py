@@ -421,9 +421,14 @@ class Act:
         """Return the token of a mission version by its digest."""
         return self._turn.get("token", digest) or None
 
+    @property
+    def seals(self) -> bool:
+        """True where fields of the log are sealed."""
+        return self._page.seals
+
     def drop_token(self, digest: Digest) -> None:
-        """Keep the token of a mission version no longer, where the log is sealed."""
-        if self._page.seals and self._turn.get("token", digest):
+        """Keep the token of a mission version no longer."""
+        if self._turn.get("token", digest):
             self.put("token", digest, b"")
 
     def keep_token(self, digest: Digest, token: bytes) -> None:

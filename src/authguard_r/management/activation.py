@@ -62,7 +62,7 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
         raise refuse(Reason.TRANSITION_REFUSED, f"the mission is {standing.status}")
     act.keep_token(verified.digest, offered.held)
     hold_expiry(act, mission.mid, verified.expiry_ms)
-    if known is not None:
+    if known is not None and act.seals:
         act.drop_token(known.digest)
     drop_last(act, mission.mid, verified.digest)
     act.hold(active)

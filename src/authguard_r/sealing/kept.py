@@ -70,6 +70,8 @@ def hold_expiry(act: Act, mid: MissionId, expiry_ms: int) -> None:
 def drop_last(act: Act, mid: MissionId, digest: Digest) -> None:
     """Keep the token of the mission that was active before no longer, once it is over.
 
+    Only where the log is sealed: elsewhere it says all of it anyway.
+
     Args:
         act: the activation of the next one.
         mid: that one's.
@@ -77,7 +79,8 @@ def drop_last(act: Act, mid: MissionId, digest: Digest) -> None:
     """
     last, _, before = (act.get(POLICY, _LAST) or b"").decode("ascii", "replace").partition(" ")
     standing = act.standing(MissionId(last)) if last and last != mid else None
-    if standing is not None and standing.status in TERMINAL and not standing.open:
+    is_over = standing is not None and standing.status in TERMINAL and not standing.open
+    if is_over and act.seals:
         act.drop_token(Digest(before))
     act.put(POLICY, _LAST, f"{mid} {digest}".encode("ascii"))
 

@@ -162,6 +162,7 @@ def test_an_order_returns_the_standing_and_nothing_else_passes_for_one(
     [
         (lambda c: c.revocations(b"l"), Act.REVOCATIONS, "revocations"),
         (lambda c: c.accept_store(b"l"), Act.ACCEPT_STORE, "accepted"),
+        (lambda c: c.shred(b"l"), Act.SHRED, "shredding"),
     ],
 )
 def test_what_is_no_mission_s_is_handed_in_as_it_is_and_what_became_of_it_is_told(

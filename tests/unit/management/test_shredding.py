@@ -30,6 +30,7 @@ from authguard_r.ledger import Act
 from authguard_r.management.parts import entry
 from authguard_r.management.shredding import DAY_MS, PAGE
 from authguard_r.refusals import RefusalPolicy
+from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import HELD, due_missions
 from authguard_r.sealing.kept import expiry_ms as expiry_of
 
@@ -538,6 +539,31 @@ def test_without_rules_nothing_ends_and_nothing_is_noted(path: Path) -> None:
         assert sim.gate.management.retire() == ()
     with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=1))) as sim:
         assert sim.gate.management.retire() == ()
+
+
+def test_what_a_gate_sealed_that_seals_no_more_is_destroyed_all_the_same(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        mission = ended(sim)
+        digest = sealed_digest(sim, mission)
+    with sealed.sealing(path, SealingPolicy()) as sim:
+        sealed.active(sim, mission="open")
+        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        finished(sim)
+        assert names(sealed_rows(sim), mission.mid) == set()
+        assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
+        assert sealed_digest(sim, worlds.mission(mission="open"))  # which goes on
+        with pytest.raises(AuthGuardError) as refusal:
+            sim.gate.management.shred(sealed.shred_order(sim, "open", REGION))
+        assert refusal.value.reason == "TRANSITION_REFUSED"
+
+
+def test_the_keys_of_a_log_that_seals_nothing_are_nothing_to_forget(path: Path) -> None:
+    with sealed.sealing(path, sealed.policy()) as sim:
+        sim.gate.ledger.note(lambda at: said("a secret", at))
+    with sealed.sealing(path, SealingPolicy()) as sim:
+        sim.gate.management.shred(sealed.shred_order(sim, "-", *sealed.EVERY))
+        finished(sim)
+        assert names(sealed_rows(sim), "-") == set()
 
 
 # a damaged store
