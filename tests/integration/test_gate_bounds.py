@@ -443,7 +443,8 @@ def lone_mission(gate: RunningGate, **changes: Any) -> None:
 @pytest.mark.parametrize("reason", ["EXPIRED", "LEASE_ENDED"])
 def test_the_timer_alone_sees_what_nobody_tells(reason: str) -> None:
     """No estimator, no order, no stop, and a controller that says nothing after it began."""
-    with RunningGate() as gate, Line(gate.socket) as robot:
+    silent = {"estimator_silence_ms": 0, "planner_silence_ms": 0}  # nobody is told of either
+    with RunningGate(**silent) as gate, Line(gate.socket) as robot:
         robot.hello(ClientRole.CONTROLLER)
         ends = {"window": {"for": "3 s"}} if reason == "EXPIRED" else {"max": "1 s"}
         lone_mission(gate, **ends)
