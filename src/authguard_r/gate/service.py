@@ -35,6 +35,7 @@ from authguard_r.gate.plans import Plans
 from authguard_r.gate.proposals import Proposals
 from authguard_r.gate.reader import Reader
 from authguard_r.gate.recovery import Recovery
+from authguard_r.gate.retirement import Retirement
 from authguard_r.gate.sessions import Session
 from authguard_r.gate.stop_book import StopBook
 from authguard_r.gate.streams import Streams
@@ -118,6 +119,9 @@ class Service:
             motions=self.motions,
             liveness=self.liveness,
             clients=lambda: self._clients,
+        )
+        self.retirement = Retirement(
+            gate.management, gate.ledger.mono_ms, self.liveness, self.view.mission_changed
         )
         self.stops = self._stop_book()
         self.desk = self._desk = Desk(
@@ -335,7 +339,7 @@ class Service:
             asyncio.create_task(every(FLUSH_S, self._flush)),
             asyncio.create_task(every(LISTEN_S, self._listen)),
             asyncio.create_task(every(VIGIL_S, self.vigil.look)),
-            asyncio.create_task(every(SHRED_S, self._shred)),
+            asyncio.create_task(every(SHRED_S, self.retirement.look)),
         ]
         mode, unclean = str(self._config.mode), self._recovery.unclean
         started = {"robot": self._config.robot, "mode": mode, "pid": os.getpid()}
@@ -356,11 +360,6 @@ class Service:
 
     def _flush(self) -> None:
         quietly(self.gate.ledger.flush)
-
-    def _shred(self) -> None:
-        if quietly(self.gate.management.retire):
-            self.view.mission_changed()
-        quietly(self.gate.management.shred_on)
 
     def _listen(self) -> None:
         """Once a second: recovery that is late, silence, the clock, the journal's counts."""

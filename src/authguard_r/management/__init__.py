@@ -31,13 +31,18 @@ from authguard_r.management.policy import hold_policy
 from authguard_r.management.recovery import mark_started, mark_stopped, recover
 from authguard_r.management.repetition import admit, withdraw
 from authguard_r.management.rollback import AcceptedStore, accept_store
-from authguard_r.management.shredding import Shredding, retire, shred, shred_on
+from authguard_r.management.shredding import (
+    Retired,
+    Shredding,
+    is_shredding,
+    retire,
+    shred,
+    shred_on,
+)
 from authguard_r.sealing import Retention
 from authguard_r.templates import TemplateStanding
 
 T = TypeVar("T")
-#: How often it is looked whether retention is over, in milliseconds.
-RETIRE_MS = 60_000
 
 
 class Management:
@@ -61,7 +66,6 @@ class Management:
         retention: tuple[Retention, ...] = (),
     ) -> None:
         self._ledger = ledger
-        self._retired_ms = -RETIRE_MS
         self._intake = intake
         self._parts = Parts(intake=intake, verifier=verifier, facts=facts, retention=retention)
 
@@ -137,18 +141,14 @@ class Management:
         """
         return attempt(self._ledger, lambda act: shred(act, token, parts=self._parts))
 
-    def retire(self) -> tuple[Shredding, ...]:
+    def retire(self) -> Retired:
         """Destroy the keys of sealed fields that were kept as long as they may be.
-
-        Looks once a minute, however often it is asked.
 
         Raises:
             EnvironmentFault: nothing was destroyed.
         """
-        now_ms = self._ledger.mono_ms()
-        if not self._parts.retention or 0 < now_ms - self._retired_ms < RETIRE_MS:
-            return ()
-        self._retired_ms = now_ms
+        if not self._parts.retention:
+            return Retired()
         return self._ledger.run(lambda act: retire(act, parts=self._parts), essential=True)
 
     def shred_on(self) -> bool:
@@ -157,6 +157,8 @@ class Management:
         Raises:
             EnvironmentFault: not now.
         """
+        if not self._ledger.peek(is_shredding):
+            return False
         return self._ledger.run(shred_on, essential=True)
 
     def select(self, token: bytes) -> Standing:

@@ -22,6 +22,7 @@ from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
 from authguard_r.core.identifiers import Count, MissionId
 from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.ports import Turn
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
@@ -77,6 +78,18 @@ class _Keys(Struct, frozen=True, kw_only=True):
     names: frozenset[str]
 
 
+class Retired(Struct, frozen=True, kw_only=True):
+    """What one look at retention came to.
+
+    Args:
+        begun: what is being destroyed now.
+        stuck: missions of which nobody can say whether their time is over: the store is damaged.
+    """
+
+    begun: tuple[Shredding, ...] = ()
+    stuck: tuple[MissionId, ...] = ()
+
+
 def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
     """Carry out a signed order to destroy classes of a mission's sealed fields, once."""
     command, _, signer = open_token(
@@ -101,7 +114,7 @@ def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
     return _begin(act, mid, command.shreds, keys, replace(told, sealed={"command": command}))
 
 
-def retire(act: Act, *, parts: Parts) -> tuple[Shredding, ...]:
+def retire(act: Act, *, parts: Parts) -> Retired:
     """Destroy what was kept as long as the signed retention says; some of it, at most.
 
     A mission that expired and that nobody ended lapses before; one of which nobody knows how an
@@ -109,9 +122,10 @@ def retire(act: Act, *, parts: Parts) -> tuple[Shredding, ...]:
     """
     rules = {rule.data: rule.most_ms for rule in parts.retention if rule.most_ms}
     if not rules:
-        return ()
+        return Retired()
     due = due_missions(act)
-    ripe = {mid: _ripe(act, mid, rules, parts) for mid in due[:_MOST_DUE]}
+    looked = {mid: _ripe(act, mid, rules, parts) for mid in due[:_MOST_DUE]}
+    ripe = {mid: classes for mid, classes in looked.items() if classes is not None}
     begin = [mid for mid, classes in ripe.items() if _told(act, mid, classes)][:_MOST_BEGUN]
     begun: list[Shredding] = []
     if begin:
@@ -131,15 +145,17 @@ def retire(act: Act, *, parts: Parts) -> tuple[Shredding, ...]:
     newest = _keys(act, NONE, tuple(rules), most=1)
     if newest and act.now.utc_ms - newest[0].since_ms >= DAY_MS:
         act.forget_keys(NONE)  # the next record makes others, so that these have an end
-    return tuple(begun)
+    return Retired(begun=tuple(begun), stuck=tuple(mid for mid in looked if mid not in ripe))
+
+
+def is_shredding(turn: Turn) -> bool:
+    """Return whether boxes are left whose keys are gone."""
+    return bool(turn.get(_KIND, _JOBS))
 
 
 def shred_on(act: Act) -> bool:
-    """Destroy the boxes of some records; return whether any are left."""
-    jobs = _jobs(act)
-    if not jobs:
-        return False
-    job, rest = jobs[0], jobs[1:]
+    """Destroy the boxes of some records, of which there are; return whether any are left."""
+    job, *rest = _jobs(act)
     at, gone, emptied = job.at, 0, 0
     for row in act.rows(job.at, min(LOOKS, job.end - job.at)):
         found = _emptied(act, job, row)
@@ -150,7 +166,7 @@ def shred_on(act: Act) -> bool:
     if job.at < job.end:
         _hold_jobs(act, (job, *rest))
         return True
-    _hold_jobs(act, rest)
+    _hold_jobs(act, tuple(rest))
     opened: dict[str, object] = {
         "verb": "shredded",
         "of": job.mid,
@@ -229,14 +245,14 @@ def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
 
 def _ripe(
     act: Act, mid: MissionId, rules: dict[DataClass, int], parts: Parts
-) -> tuple[DataClass, ...]:
-    """Return the classes of a mission that have no more time; none where nobody can say it."""
+) -> tuple[DataClass, ...] | None:
+    """Return the classes of a mission that have no more time; None: the store cannot say it."""
     try:
         over_ms = _over_ms(act, mid, parts)
         ripe = tuple(d for d, most_ms in rules.items() if over_ms + most_ms <= act.now.utc_ms)
         _told(act, mid, ripe)
     except AuthGuardError:  # one damaged mission keeps no other from its end
-        return ()
+        return None
     return ripe
 
 

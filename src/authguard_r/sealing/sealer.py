@@ -81,7 +81,6 @@ class Sealer:
     def _cover(self, turn: Turn, entry: Entry, salts: Callable[[int], bytes]) -> Cover:
         # what is of no mission that was ever here, a template's record or an answer to nothing
         mid = entry.mid if turn.get("standing", entry.mid) else NONE
-        entry = replace(entry, mid=mid)
         held = turn.get(HELD, mid)
         known = self._covers.get(mid)
         if known is not None and known[0] == held:  # else its record was not committed
@@ -90,14 +89,14 @@ class Sealer:
         classes = {one: self._random(_KEY) for one in self._classes}
         cover = Cover(robot=self._robot, keys=seq, classes=classes)
         before = None if not held else read_held(held, Kept, HELD)
-        self._tell(turn, entry, cover, before, salts)
+        self._tell(turn, replace(entry, mid=mid), cover, before, salts)
         kept = encode(Kept(newest=seq))
-        turn.put(HELD, entry.mid, kept)
+        turn.put(HELD, mid, kept)
         due = due_missions(turn) if self._retires and mid != NONE else None
         if due is not None and mid not in due:
             hold_due(turn, (*due, MissionId(mid)))
-        self._covers[entry.mid] = (kept, cover)
-        self._covers.move_to_end(entry.mid)
+        self._covers[mid] = (kept, cover)
+        self._covers.move_to_end(mid)
         while len(self._covers) > _MOST_COVERS:
             self._covers.popitem(last=False)
         return cover

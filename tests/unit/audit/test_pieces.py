@@ -504,3 +504,26 @@ def test_one_record_is_a_piece() -> None:
     single = verify_piece(ROWS[:1], 0, with_tree=True)
     assert single is not None
     assert single.subtrees == ((0, leaf_hash(ROWS[0].link)),)
+
+
+# whoever is free, and when
+
+
+def test_a_helper_that_is_free_when_nothing_is_left_is_given_nothing(threads: None) -> None:
+    reading = pieces._Reading(iter(()), ())
+    with pieces._Helpers(1) as helpers:
+        helpers.start()
+        (helper,) = helpers.answers(wait_for=True)
+        course = pieces._Course(reading, Verifier(), helpers, 0)
+        course._hand_out()
+        assert helper.is_free
+        assert course.run() == verify_rows(())
+
+
+def test_a_number_that_cannot_be_sent_leaves_a_helper_free(threads: None) -> None:
+    row = set_(ROWS[0], seq=1 << 70)
+    with pieces._Helpers(1) as helpers:
+        helpers.start()
+        (helper,) = helpers.answers(wait_for=True)
+        given = pieces._Given(pieces._Asked(0, False, [row]), 0)
+        assert (helper.ask(given), helper.is_free, given.is_answered) == (False, True, False)

@@ -446,14 +446,3 @@ def test_simulated_time_is_told_whether_something_moves() -> None:
         house.do(house.service._look)
         assert moving == [False]
         house.service._advance = None
-
-
-def test_what_retention_ended_is_shown_as_it_is() -> None:
-    with House(robot=False, store=MemoryStore()) as house:
-        house.service.view._changed = False
-        house.service.gate.management.retire = lambda: ()
-        house.do(house.service._shred)
-        assert not house.service.view._changed
-        house.service.gate.management.retire = lambda: ("a mission's fields",)
-        house.do(house.service._shred)
-        assert house.service.view._changed

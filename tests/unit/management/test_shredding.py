@@ -28,7 +28,7 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import OpenRelease, Spend
 from authguard_r.ledger import Act
 from authguard_r.management.parts import entry
-from authguard_r.management.shredding import DAY_MS, PAGE
+from authguard_r.management.shredding import DAY_MS, PAGE, Retired
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import HELD, due_missions
@@ -178,11 +178,11 @@ def test_a_mission_of_which_something_is_open_is_not_destroyed(path: Path) -> No
         told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
         assert (told.reason, "resolve" in told.message) == ("TRANSITION_REFUSED", True)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        assert sim.gate.management.retire() == ()
+        assert sim.gate.management.retire() == Retired()
         assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
         opens(sim, mission, is_open=False)
         later(sim, MINUTE_MS)
-        assert len(sim.gate.management.retire()) == 1
+        assert len(sim.gate.management.retire().begun) == 1
 
 
 def opens(sim: Simulation, mission: Mission, *, is_open: bool) -> None:
@@ -439,15 +439,15 @@ def test_retention_ends_by_itself_with_a_record_of_who(path: Path) -> None:
     with sealed.sealing(path, rules) as sim:
         mission = ended(sim)
         assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
-        assert sim.gate.management.retire() == ()
+        assert sim.gate.management.retire() == Retired()
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        (done,) = sim.gate.management.retire()
+        (done,) = sim.gate.management.retire().begun
         assert (done.mid, done.classes) == (mission.mid, (REGION,))
         finished(sim)
-        assert sim.gate.management.retire() == ()  # once a minute
+        assert sim.gate.management.retire() == Retired()
         assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
         later(sim, 2 * DAY_MS)
-        assert [one.classes for one in sim.gate.management.retire()] == [(OBJECT,)]
+        assert [one.classes for one in sim.gate.management.retire().begun] == [(OBJECT,)]
         finished(sim)
         assert sim.gate.ledger.peek(due_missions) == ()
     rows = sealed.opened(sealed.rows_of(path))
@@ -459,7 +459,7 @@ def test_a_mission_that_expired_and_that_nobody_ended_lapses_before(path: Path) 
     with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
         mission = sealed.active(sim)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        (done,) = sim.gate.management.retire()
+        (done,) = sim.gate.management.retire().begun
         finished(sim)
         standing = sim.gate.management.standing(mission.mid)
         assert (done.mid, standing.status) == (mission.mid, "expired")
@@ -475,16 +475,16 @@ def test_what_is_recorded_after_a_mission_was_destroyed_is_destroyed_too(path: P
     with sealed.sealing(path, kept(sealed.rule(PERSON, most_ms=MINUTE_MS))) as sim:
         mission = ended(sim)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        assert len(sim.gate.management.retire()) == 1
+        assert len(sim.gate.management.retire().begun) == 1
         finished(sim)
         sim.gate.ledger.run(lambda act: answered(act, mission.mid, "late"))
         assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
         later(sim, MINUTE_MS)
-        assert [one.mid for one in sim.gate.management.retire()] == [mission.mid]
+        assert [one.mid for one in sim.gate.management.retire().begun] == [mission.mid]
         finished(sim)
         assert not [name for name in names(sealed_rows(sim), mission.mid) if "person" in name]
         later(sim, MINUTE_MS)
-        assert sim.gate.management.retire() == ()
+        assert sim.gate.management.retire() == Retired()
 
 
 def test_many_missions_end_a_few_at_a_time(path: Path) -> None:
@@ -492,9 +492,11 @@ def test_many_missions_end_a_few_at_a_time(path: Path) -> None:
         for number in range(6):
             last = ended(sim, mission=f"m-{number}")
         later(sim, expiry_ms(last) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        assert [one.mid for one in sim.gate.management.retire()] == [f"m-{n}" for n in range(4)]
+        assert [one.mid for one in sim.gate.management.retire().begun] == [
+            f"m-{n}" for n in range(4)
+        ]
         later(sim, MINUTE_MS)
-        assert [one.mid for one in sim.gate.management.retire()] == ["m-4", "m-5"]
+        assert [one.mid for one in sim.gate.management.retire().begun] == ["m-4", "m-5"]
         finished(sim)
         assert sim.gate.ledger.peek(due_missions) == ()
 
@@ -519,7 +521,7 @@ def test_keys_of_no_mission_are_changed_daily_so_that_they_have_an_end(path: Pat
         sim.gate.ledger.note(lambda at: said("first", at))
         for day in range(3):
             later(sim, DAY_MS + 1_000)
-            found = sim.gate.management.retire()
+            found = sim.gate.management.retire().begun
             assert [one.mid for one in found] == ([] if day < 1 else ["-"])
             finished(sim)
             sim.gate.ledger.note(lambda at, d=day: said(f"day {d}", at))
@@ -536,9 +538,9 @@ def test_without_rules_nothing_ends_and_nothing_is_noted(path: Path) -> None:
     with sealed.sealing(path, sealed.policy()) as sim:
         ended(sim)
         assert sim.gate.ledger.peek(due_missions) == ()
-        assert sim.gate.management.retire() == ()
+        assert sim.gate.management.retire() == Retired()
     with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=1))) as sim:
-        assert sim.gate.management.retire() == ()
+        assert sim.gate.management.retire() == Retired()
 
 
 def test_what_a_gate_sealed_that_seals_no_more_is_destroyed_all_the_same(path: Path) -> None:
@@ -635,7 +637,7 @@ def test_of_a_mission_of_before_its_token_says_when_it_expires(path: Path) -> No
         sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
         before(sim)  # and the token is gone: nobody can say it
         later(sim, 2 * DAY_MS)
-        assert sim.gate.management.retire() == ()
+        assert sim.gate.management.retire() == Retired(stuck=(mission.mid,))
 
 
 def before(sim: Simulation) -> None:
@@ -650,7 +652,8 @@ def test_one_damaged_mission_keeps_no_other_from_its_end(path: Path) -> None:
         first, second = ended(sim), ended(sim, mission="second")
         sim.gate.ledger.run(lambda act: act.put("sealing-expiry", first.mid, b"soon"))
         later(sim, expiry_ms(second) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        assert [one.mid for one in sim.gate.management.retire()] == ["second"]
+        told = sim.gate.management.retire()
+        assert ([one.mid for one in told.begun], told.stuck) == (["second"], (first.mid,))
         with pytest.raises(StoreError) as error:
             sim.gate.ledger.run(lambda act: expiry_of(act, first.mid))
         assert error.value.where == "store.sealing-expiry"
@@ -662,7 +665,7 @@ def test_what_is_written_at_a_missions_end_does_not_escape_it(path: Path) -> Non
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
         sim.gate.ledger._refusals.policy = RefusalPolicy(delay_ms=100)
         worlds.propose(sim, GO)  # too late: waits to be recorded
-        assert len(sim.gate.management.retire()) == 1
+        assert len(sim.gate.management.retire().begun) == 1
         finished(sim)
         sim.gate.ledger.flush(everything=True)
         left = names(sealed_rows(sim), mission.mid)
@@ -679,7 +682,7 @@ def test_the_end_of_records_of_no_mission_begins_nothing_new(path: Path) -> None
         begun = []
         for _ in range(12):
             later(sim, 2 * MINUTE_MS)
-            begun += sim.gate.management.retire()
+            begun += sim.gate.management.retire().begun
             finished(sim)
     assert [(one.mid, one.classes) for one in begun] == [("-", (OBJECT, PERSON))]
 
