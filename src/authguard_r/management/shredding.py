@@ -412,7 +412,11 @@ def _corrupt(text: str, seq: int) -> StoreError:
 
 def _jobs(act: Act) -> tuple[Shredding, ...]:
     held = act.get(_KIND, _JOBS)
-    return read_held(held, tuple[Shredding, ...], _KIND) if held else ()
+    jobs = read_held(held, tuple[Shredding, ...], _KIND) if held else ()
+    if held and not jobs:  # what there is to destroy, nobody can say
+        text, where = "expected something that is to be destroyed", f"store.{_KIND}"
+        raise StoreError(text, where=where, reason=Reason.STORE_CORRUPT)
+    return jobs
 
 
 def _hold_jobs(act: Act, jobs: tuple[Shredding, ...]) -> None:

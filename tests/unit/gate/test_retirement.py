@@ -132,6 +132,31 @@ def test_a_box_that_cannot_be_destroyed_is_told_beside_what_retention_says(
     assert watched.over == [True, False]
 
 
+def test_an_alert_is_over_when_everything_is(watched: Watched) -> None:
+    mid = ripe(watched)
+    lie = Entry(kind="stop", time_ms=1, decision="stop", open={}, sealed={"box.region": 1})
+    watched.sim.gate.ledger.run(lambda act: append(act._page.turn, lie, salts=bytes(16)))
+    for _ in range(3):
+        watched.look(EVERY_MS)
+    assert watched.over == [False]
+    put(watched, "sealing-policy", "due", b"?")
+    watched.look(EVERY_MS)
+    assert watched.over == [False, False]
+    put(watched, "sealing-policy", "due", f'["{mid}"]'.encode())
+    watched.look(EVERY_MS)
+    assert watched.over == [False, False]  # the box still cannot be destroyed
+
+
+def test_a_list_of_nothing_to_destroy_is_a_damaged_store_and_told(watched: Watched) -> None:
+    put(watched, "shredding", "jobs", b"[]")
+    for _ in range(3):
+        watched.look()
+    assert [alert[STUCK]["where"] for alert in watched.told] == ["store.shredding"]
+    put(watched, "shredding", "jobs", b"")
+    watched.look()
+    assert watched.over == [True]
+
+
 def test_while_the_clock_is_wrong_nothing_ends_and_nothing_more_is_told(watched: Watched) -> None:
     ripe(watched)
     watched.sim.robot._start_ms -= 3_600_000  # an hour back
