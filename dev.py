@@ -117,7 +117,7 @@ def lock(arguments: list[str]) -> int:
     """Work out the lock files: every version, every hash, no host."""
     command = ["uv", "pip", "compile", "pyproject.toml"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
-    extras = ["--extra", "drafting", "--extra", "frost", "--extra", "pkcs11"]
+    extras = [f"--extra={name}" for name in ("drafting", "frost", "llm", "pkcs11")]
     everything = [*extras, "--group", "dev", "--group", "bench"]
     first = run([*command, *everything, *how, "-o", LOCK.name, *arguments])
     first = first or run([*command, *how, "-c", LOCK.name, "-o", str(GATE_LOCK), *arguments])

@@ -52,7 +52,7 @@ from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import STAND_WITHIN_MS, Watch
-from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, safety_digest
+from authguard_r.safety import SafetyConfig, default_config, gate_of, safety_digest
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.sealer import sealer_of
 from authguard_r.sim.robot import Faults, SymbolicRobot
@@ -353,7 +353,7 @@ def simulate(
         trust=trust,
         chain=signer.chain,
         site=site,
-        safety=EnvelopeGate(config),
+        safety=gate_of(config),
         controller=robot,
         source=robot,
         clock=robot,
@@ -410,7 +410,7 @@ def offline_gate(
         trust=read_trust(folder),
         chain=signer.chain,
         site=site,
-        safety=EnvelopeGate(default_config(site, rid)),
+        safety=gate_of(default_config(site, rid)),
         controller=nothing,
         source=nothing,
         clock=store_clock(store),

@@ -28,14 +28,7 @@ from authguard_r.core.ports import Clock, SafetyGate
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.core.standing import (
-    Outcome,
-    Standing,
-    advance,
-    ask,
-    close_request,
-    reserve,
-)
+from authguard_r.core.standing import Outcome, Standing, advance, ask, close_request, reserve
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
 from authguard_r.intake import Intake
@@ -62,6 +55,7 @@ from authguard_r.running import (
     quietly,
     require_judged,
 )
+from authguard_r.safety.kept import memory_of, remember
 from authguard_r.stopping import Stopping
 
 
@@ -241,7 +235,8 @@ class Enforcer:
         )
         safety = None
         if decision.verdict is Verdict.ACCEPT:
-            safety = self._safety.assess(action, state, self._facts, now)
+            recalled = self._safety.recall(memory_of(act, standing))
+            safety = recalled.assess(action, state, self._facts, now)
         digested = digest_of(Tag.ACTION, action)
         return Judged(
             action=action,
@@ -266,6 +261,7 @@ class Enforcer:
         grant = match.indexed.grant
         if judged.released and self._watch.ready(irreversible=grant.irreversible):
             kind = self._facts.vocabulary[judged.action.type]
+            remember(act, standing, judged.safety, ticket=judged.ticket)
             standing = reserve(
                 standing,
                 grant,

@@ -27,6 +27,7 @@ from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish,
 from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
 from authguard_r.report import Judged, Report, fault_finding, outcome_entry
+from authguard_r.safety.kept import settle_memory
 
 T = TypeVar("T")
 #: The lease is looked at this often, in milliseconds; never more seldom than every 100.
@@ -130,6 +131,7 @@ class Watch:
                 after = advance(after, Event.SUSPEND) or after
             current = self._current(act, after, judged)
             act.hold(after if current is None else finish(after, current, act.now))
+            settle_memory(act, standing, mission, ticket=judged.ticket, outcome=outcome)
             entry = outcome_entry(
                 judged, outcome, findings, used=used, now=act.now, stood_ms=stood_ms
             )

@@ -33,10 +33,26 @@ def without(*names: str) -> Iterator[None]:
         for name in ("check_certificate", "check_approval"):
             if name in names:
                 stack.enter_context(patch.object(gate, name, _finds_nothing))
-        if "check_registry" in names:  # the lease asks the same condition again
-            stack.enter_context(patch.object(lease, "registry_findings", _finds_nothing))
+        for attribute, checks in _ASKED_AGAIN.items():
+            if not checks.isdisjoint(names):
+                stack.enter_context(patch.object(lease, attribute, _ANSWERS[attribute]))
         yield
 
 
 def _finds_nothing(*_: Any, **__: Any) -> tuple[()]:
     return ()
+
+
+def _holds(*_: Any, **__: Any) -> None:
+    return None
+
+
+#: What the lease asks again, just before the robot moves and while it does, and which check first
+#: asked it: a condition that is gone is gone from both.
+_ASKED_AGAIN: dict[str, frozenset[str]] = {
+    "_time": frozenset({"check_time"}),
+    "registry_findings": frozenset({"check_registry"}),
+    "place_findings": frozenset({"check_place"}),
+    "guard_finding": frozenset({"check_mission_guards", "check_grant_guards"}),
+}
+_ANSWERS = dict.fromkeys(_ASKED_AGAIN, _finds_nothing) | {"guard_finding": _holds}

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,21 @@ from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
-from authguard_r.core.identifiers import GrantId, RobotId
+from authguard_r.core.identifiers import GrantId, Identifier, RobotId
+from authguard_r.core.lifecycle import Event
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
-from authguard_r.core.standing import Standing
+from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.token import sign_object
 from authguard_r.keys.setup import init_folder
+from authguard_r.ledger import Act
 from authguard_r.normalize import normalize
+from authguard_r.normalize.bind import site_spellings
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.context import ContextLedger
+from authguard_r.normalize.mentions import Names
 from authguard_r.report import Report
+from authguard_r.safety import EnvelopeGate, SafetyConfig
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
@@ -37,6 +43,7 @@ from authguard_r.site.source import convert, read_site, read_text, read_yaml
 
 COURIER = RobotId("courier-1")
 LIFTER = RobotId("lifter-1")
+PLANNER = Identifier("planner")
 
 
 @dataclass(frozen=True)
@@ -48,12 +55,16 @@ class Bench:
         site: the hospital.
         binding: the planner's tools.
         start_ms: the simulated instant at which every trial begins.
+        envelopes: the safety model of each robot, once it was made.
+        offered: names and tools that each robot's planner is offered, once they were made.
     """
 
     folder: Path
     site: Site
     binding: Binding
     start_ms: int
+    envelopes: dict[RobotId, EnvelopeGate] = field(default_factory=dict, compare=False)
+    offered: dict[RobotId, Any] = field(default_factory=dict, compare=False)
 
     def draft(self, **changes: Any) -> dict[str, Any]:
         """Return the hospital's mission draft as plain data, with top-level fields replaced."""
@@ -62,11 +73,16 @@ class Bench:
             raise TypeError("the hospital's draft is no mapping")
         return {**plain, **changes}
 
-    def mission(self, draft: dict[str, Any]) -> Mission:
+    @cached_property
+    def names(self) -> Names:
+        """Every spelling of the site, made ready once to be found in texts."""
+        return Names(site_spellings(self.site))
+
+    def mission(self, draft: dict[str, Any], *, nonce: str = b64(bytes(16))) -> Mission:
         """Return a draft compiled at the start of the trials."""
         now = Now(self.start_ms, 0)
         compiled = convert(draft, Draft, where="draft")
-        return compile_draft(compiled, self.site, now=now, nonce=b64(bytes(16)))
+        return compile_draft(compiled, self.site, now=now, nonce=nonce)
 
     def sign(self, mission: Mission, by: str = "operator-1") -> bytes:
         """Return the mission signed by a principal."""
@@ -79,6 +95,7 @@ class Bench:
         state: WorldState | None = None,
         store: Path | None = None,
         start_ms: int | None = None,
+        safety: Callable[[Site, RobotId], SafetyConfig] | None = None,
     ) -> Simulation:
         """Return a fresh gate and robot."""
         return simulate(
@@ -89,6 +106,7 @@ class Bench:
             start_ms=self.start_ms if start_ms is None else start_ms,
             store=store,
             state=state,
+            safety=None if safety is None else safety(self.site, rid),
         )
 
 
@@ -104,6 +122,7 @@ class Scene:
         between: what happens after a refusal, before the same plan comes again; benign
             approvals arrive here. None when the plan comes once.
         usable_until_ms: when the issuer's certificates end.
+        names: the site's, made ready once for many situations.
     """
 
     sim: Simulation
@@ -112,6 +131,7 @@ class Scene:
     context: list[tuple[str, str]] = field(default_factory=list)
     between: Callable[[Scene], None] | None = None
     usable_until_ms: int = 1 << 52
+    names: Names | None = None
 
     @property
     def digest(self) -> str:
@@ -124,7 +144,7 @@ class Scene:
 
     def ledger(self) -> ContextLedger:
         """Return the context as the gate keeps it."""
-        ledger = ContextLedger(self.sim.binder.spellings())
+        ledger = ContextLedger(self.names or self.sim.binder.spellings())
         for channel, text in self.context:
             ledger.add(channel, text)
         return ledger
@@ -162,7 +182,7 @@ def propose(scene: Scene) -> list[Report]:
     for step in plan.steps:
         reports.append(
             scene.sim.gate.enforcer.propose(
-                step, planner="planner", evidence=plan.evidence, context=scene.ledger()
+                step, planner=PLANNER, evidence=plan.evidence, context=scene.ledger()
             )
         )
         if reports[-1].outcome is None:
@@ -220,3 +240,21 @@ def approve(
         for name in by:
             signed = sign_object(made, Tag.APPROVAL, folder_signer(bench.folder, name))
             scene.sim.gate.management.approve(signed)
+
+
+def force_in(scene: Scene, token: bytes) -> None:
+    """Put a mission into a gate's registry past activation, as somebody with its disk could.
+
+    Activation refuses a foreign mission already; the attack is on what comes after.
+    """
+
+    def job(act: Act) -> None:
+        verified = scene.sim.gate.enforcer.intake.verify_mission(token, act)
+        standing = advance(issue(verified), Event.ACTIVATE)
+        if standing is None:
+            raise RuntimeError("an issued mission could not be activated")
+        act.keep_token(verified.digest, token)
+        act.hold(standing)
+        act.make_active(verified.mission.mid)
+
+    scene.sim.gate.ledger.run(job)

@@ -16,11 +16,15 @@ from typer.exceptions import TyperException
 
 from authguard_r.assembly import folder_signer
 from authguard_r.client import GateClient
-from authguard_r.core.errors import AuthGuardError
 from authguard_r.wire.messages import ClientRole
 from missionpair.ablation import CHECKS, without
 from missionpair.approvers import Policy, Script, read_delay
 from missionpair.bench import Bench, make_bench
+from missionpair.cli_live import live_command
+from missionpair.cli_mutate import mutate_command
+from missionpair.cli_report import compare, report
+from missionpair.cli_run import list_command, run_command
+from missionpair.faults import FAULTS, fault_of
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN
 from missionpair.systems import System, run_trial
@@ -69,7 +73,7 @@ def validate(
 
 
 @app.command("approvers")
-def approvers(  # noqa: PLR0917 - typer reads options from defaults
+def approvers(
     socket: Annotated[Path, typer.Option("--gate", help="The gate's socket.")],
     trust: Annotated[Path, typer.Option("--trust", help="The demo folder with their keys.")],
     people: Annotated[list[str], typer.Option("--as", help="Who answers; may be repeated.")],
@@ -98,6 +102,14 @@ def approvers(  # noqa: PLR0917 - typer reads options from defaults
             sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
             sys.stdout.flush()
     return 0
+
+
+app.command("run")(run_command)
+app.command("live")(live_command)
+app.command("list")(list_command)
+app.command("report")(report)
+app.command("compare")(compare)
+app.command("mutate")(mutate_command)
 
 
 def run_suite(bench: Bench) -> list[Measured]:
@@ -183,7 +195,14 @@ def main() -> None:
         show = getattr(error, "format_message", error.__str__)
         sys.stderr.write(f"USAGE: {show()}\n")
         sys.exit(2)
-    except AuthGuardError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(5)
+    except FAULTS as error:
+        fault = fault_of(error)
+        if "--json" in sys.argv:
+            sys.stdout.write(fault.as_json() + "\n")
+        else:
+            sys.stderr.write(fault.as_text() + "\n")
+        sys.exit(fault.exit_code)
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; every trial that was finished is in the log\n")
+        sys.exit(130)
     sys.exit(result if isinstance(result, int) else 0)

@@ -24,6 +24,7 @@ from missionpair.bench import (
     calls,
     carry_out,
     choose,
+    force_in,
     world,
 )
 
@@ -302,27 +303,6 @@ def propose_once(scene: Scene) -> None:
     from missionpair.bench import propose
 
     propose(scene)
-
-
-def force_in(scene: Scene, token: bytes) -> None:
-    """Put a mission into a gate's registry past activation, as somebody with its disk could.
-
-    Activation refuses a foreign mission already; the attack is on what comes after.
-    """
-    from authguard_r.core.lifecycle import Event
-    from authguard_r.core.standing import advance, issue
-    from authguard_r.ledger import Act
-
-    def job(act: Act) -> None:
-        verified = scene.sim.gate.enforcer.intake.verify_mission(token, act)
-        standing = advance(issue(verified), Event.ACTIVATE)
-        if standing is None:
-            raise RuntimeError("an issued mission could not be activated")
-        act.keep_token(verified.digest, token)
-        act.hold(standing)
-        act.make_active(verified.mission.mid)
-
-    scene.sim.gate.ledger.run(job)
 
 
 ATTACKS: tuple[Trial, ...] = (

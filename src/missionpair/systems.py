@@ -8,7 +8,6 @@ checks. Source: section "Controlled Validation".
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -18,7 +17,6 @@ import msgspec
 import authguard_reference as oracle
 from authguard_r.core.action import Action
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.facts import SiteFacts
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.state import attest
@@ -28,6 +26,7 @@ from authguard_r.sim.robot import snapshot_of
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import delta
 from missionpair.bench import Scene, propose
+from missionpair.judging import plain, plain_facts
 
 
 class System(StrEnum):
@@ -184,18 +183,3 @@ def _judge(
         approvals=approvals,
     )
     return Effect(action, verdict["verdict"] == "accept", tuple(verdict["reasons"]))
-
-
-def plain(value: Any) -> Any:
-    """Return a struct as plain JSON data, which is all that the oracle knows."""
-    return json.loads(msgspec.json.encode(value))
-
-
-def plain_facts(facts: SiteFacts) -> dict[str, Any]:
-    """Return the site's facts in the shape of the specification."""
-    shown: dict[str, Any] = plain(facts)
-    shown["regions"] = {
-        name: {**region["area"], "tags": region["tags"]}
-        for name, region in shown["regions"].items()
-    }
-    return shown

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,7 +36,7 @@ from authguard_r.compile.card import compare
 from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.identifiers import ObjectId, RegionId
+from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission, OnRefusal
 from authguard_r.core.quantities import Now, to_timestamp
@@ -46,7 +47,8 @@ from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import How
 from authguard_r.report import Report, average_deviation, plan_deviation
-from authguard_r.safety import open_config
+from authguard_r.safety import SafetyConfig, TemporalGate, open_config
+from authguard_r.safety.kept import memory_of
 from authguard_r.shapes import report_json
 from authguard_r.sim.robot import Faults
 from authguard_r.sim.state import WorldState
@@ -172,17 +174,19 @@ def run_command(
             counter=counter_of(path, counter),
         )
     try:
-        _activate(simulation, read_file(token))
+        mid = _activate(simulation, read_file(token))
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
         runs = [
             run_plan(simulation, read_input(p), dialect=dialect, context=ledger, ask=ask)
             for p in plan
         ]
-        payload = _payload(simulation, runs, path)
+        left = () if config is None else _unfulfilled(simulation, config, mid)
+        payload = {**_payload(simulation, runs, path), "rules_open": left}
     finally:
         simulation.gate.close()
-    emit(payload, _lines(runs, path), as_json=as_json)
+    open_rules = [f"rule `{rule}` does not hold if the mission ends here" for rule in left]
+    emit(payload, [*open_rules, *_lines(runs, path)], as_json=as_json)
     return max(_code(run) for run in runs)
 
 
@@ -209,8 +213,8 @@ def stop_command(
     return 0
 
 
-def _activate(simulation: Simulation, token: bytes) -> None:
-    """Activate the mission, unless this very version is active already."""
+def _activate(simulation: Simulation, token: bytes) -> MissionId:
+    """Activate the mission, unless this very version is active already; return which it is."""
     management = simulation.gate.management
     payload = unb64(read_token(token).payload, where="token.payload")
     mission = decode(payload, Mission, where="mission")
@@ -218,6 +222,16 @@ def _activate(simulation: Simulation, token: bytes) -> None:
     known = standing is not None and standing.digest == digest(Tag.MISSION, payload)
     if standing is None or not known or standing.status not in {Status.ACTIVE, Status.CLOSING}:
         management.activate(token)
+    return mission.mid
+
+
+def _unfulfilled(
+    simulation: Simulation, config: SafetyConfig, mid: MissionId
+) -> tuple[Identifier, ...]:
+    """Return the safety rules that do not hold if the mission ends now."""
+    gate = simulation.gate
+    remembered = partial(memory_of, standing=gate.management.standing(mid))
+    return TemporalGate(config, gate.ledger.peek(remembered)).unfulfilled()
 
 
 def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldState:

@@ -130,6 +130,10 @@ class Store(Protocol):
 class SafetyGate(Protocol):
     """The second gate: physical safety, with its own configuration, reasons and evidence."""
 
+    def recall(self, memory: bytes) -> SafetyGate:
+        """Return the gate as of this memory, once given by it; empty: nothing was done yet."""
+        ...
+
     def assess(
         self, action: Action, state: AttestedState | None, facts: SiteFacts, now: Now
     ) -> SafetyDecision:

@@ -7,7 +7,7 @@ Every quantity in the core is an integer with its unit in its name; floats exist
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from msgspec import Struct
 
@@ -40,11 +40,9 @@ def to_ms(timestamp: Timestamp, *, where: str) -> int:
         moment = datetime.fromisoformat(timestamp)
     except ValueError as error:
         raise MalformedError("no instant", where=where, reason=Reason.SCHEMA_INVALID) from error
-    delta = moment - _EPOCH
-    return (delta.days * 86_400 + delta.seconds) * 1_000
+    return (moment - _EPOCH) // timedelta(milliseconds=1)
 
 
 def to_timestamp(utc_ms: int) -> Timestamp:
     """Return the whole second in which the instant lies, as signed data spells it."""
-    moment = datetime.fromtimestamp(utc_ms // 1_000, tz=UTC)
-    return moment.isoformat().replace("+00:00", "Z")
+    return datetime.fromtimestamp(utc_ms // 1_000, tz=UTC).isoformat().replace("+00:00", "Z")

@@ -24,6 +24,7 @@ class Hazard(StrEnum):
     HUMAN_PROXIMITY = "HUMAN_PROXIMITY"
     NOT_EXECUTABLE = "NOT_EXECUTABLE"
     STATE_UNKNOWN = "STATE_UNKNOWN"
+    RULE = "RULE"
 
 
 class SafetyFinding(Struct, frozen=True):
@@ -43,11 +44,14 @@ class SafetyDecision(Struct, frozen=True, kw_only=True):
         findings: every hazard, in the order of the rules.
         repair: an action that the gate would call safe; it is a new proposal, never released
             by itself.
+        memory: what the gate is to be given back: while it is not known whether the action took
+            place, and from when it succeeded; empty of a gate that remembers nothing.
     """
 
     safe: bool
     findings: tuple[SafetyFinding, ...] = ()
     repair: Action | None = None
+    memory: tuple[bytes, bytes] = (b"", b"")
 
     def __bool__(self) -> bool:
         raise TypeError("a safety decision has no truth value; read `.safe`")

@@ -13,7 +13,7 @@ from typing import Annotated, TypeVar
 
 from msgspec import Meta, Struct
 
-from authguard_r.core.encoding import Tag, b64, decode, digest, encode, encode_fast, unb64
+from authguard_r.core.encoding import Tag, b64, decode, digest, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import (
     ActionType,
@@ -246,7 +246,7 @@ def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> Verifi
 
 def sign_object(value: object, tag: Tag, signer: Signer) -> bytes:
     """Return a token over the object's canonical bytes, with a final newline for files."""
-    payload = encode(value)
+    payload = encode_fast(decode(encode_fast(value), type(value)))  # what none reads, none signs
     endorsements = tuple(
         Endorsement(chain=tuple(b64(der) for der in chain), signature=b64(signature))
         for chain, signature in signer.endorse(unb64(digest(tag, payload)))

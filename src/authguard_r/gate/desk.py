@@ -8,6 +8,7 @@ and nothing waits. Spec page: docs/spec/gate-protocol.md#requests
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -32,6 +33,7 @@ from authguard_r.management.rollback import AcceptedStore
 from authguard_r.management.shredding import Shredding
 from authguard_r.normalize import Step
 from authguard_r.report import Judged
+from authguard_r.safety.kept import memory_of
 from authguard_r.templates.kept import TemplateStanding
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, read_body
@@ -275,12 +277,14 @@ class Desk:
         """Ask both gates about a step as things are now, without any effect."""
         gate = self._gate
         verified = gate.ledger.run(gate.enforcer.intake.active_mission)
+        standing = gate.ledger.standing(verified.mission.mid)
+        remembered = partial(memory_of, standing=standing)
         return evaluate(
             verified,
             attested_source(step, gate.enforcer.intake.state),
             state=gate.enforcer.intake.state,
             facts=gate.facts,
             now=gate.ledger.now(),
-            standing=gate.ledger.standing(verified.mission.mid),
-            safety=gate.safety,
+            standing=standing,
+            safety=gate.safety.recall(gate.ledger.peek(remembered)),
         )

@@ -29,7 +29,7 @@ from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.assembly import Gate, assemble
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Clock, Controller, StateSource
+from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource
 from authguard_r.core.reasons import Reason
 from authguard_r.emergency.journal import EmergencyJournal
 from authguard_r.emergency.opened import OpenedPolicy
@@ -53,7 +53,7 @@ from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import WATCH_MS
-from authguard_r.safety import EnvelopeGate, SafetyConfig, safety_digest
+from authguard_r.safety import SafetyConfig, gate_of, safety_digest
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import hold_policy
 from authguard_r.sim.robot import SymbolicRobot
@@ -66,6 +66,8 @@ from authguard_r.wire.messages import Mode
 SOCKET = "gate.sock"
 #: Refusals wait this long for somebody else's commit, in milliseconds.
 DELAY_MS = 100
+#: The longest that a safety checker may hold up the looks at open leases, in milliseconds.
+ASKED_MS = 50
 #: What is added to the process's niceness, where the machine lets it.
 PRIORITY = -5
 #: Connections that the kernel keeps until they are taken.
@@ -161,8 +163,9 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
         lock = _hold(parts)
         held.callback(lock.release)
         mounted = _mount(parts)
+        safety = gate_of(parts.safety, asked_ms=ASKED_MS)
         store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
-        gate = _assemble(parts, mounted, store)
+        gate = _assemble(parts, mounted, store, safety)
         held.callback(gate.close)
         gate.enforcer.before_first(lambda: None)
         if mounted.remote is not None:
@@ -226,14 +229,14 @@ def _mount(parts: Parts) -> _Mounted:
     return _Mounted(remote, remote, inbox, inbox, clock)
 
 
-def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore) -> Gate:
+def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore, safety: SafetyGate) -> Gate:
     clock = {"clock": SIMULATED} if parts.simulated is not None else {}
     sealing = SealingPolicy(readers=parts.config.readers, retention=parts.config.retention)
     gate = assemble(
         trust=parts.trust,
         chain=parts.signer.chain,
         site=parts.site,
-        safety=EnvelopeGate(parts.safety),
+        safety=safety,
         controller=mounted.controller,
         source=mounted.source,
         clock=mounted.clock,

@@ -27,6 +27,7 @@ from authguard_r.management.parts import (
     require_signed_since,
 )
 from authguard_r.management.repetition import require_fresh
+from authguard_r.safety.kept import settle_memory
 
 #: Open releases that a message names; a mission has one for each lease that was lost.
 _NAMED = 4
@@ -91,11 +92,13 @@ def _carried_out(
         return None
     if all(release.ticket != command.ticket for release in standing.open):
         return None
+    ended = Outcome(command.outcome)
+    settle_memory(act, standing, mission, ticket=command.ticket, outcome=ended)
     after = settle(
         standing,
         mission,
         ticket=command.ticket,
-        outcome=Outcome(command.outcome),
+        outcome=ended,
         used=_reserved(standing, command.ticket),
     )
     return finish(after, mission, act.now)

@@ -13,6 +13,7 @@ from authguard_r.core.mission import Grant
 from authguard_r.core.standing import Outcome, advance, finish, settle
 from authguard_r.ledger import Act
 from authguard_r.management.parts import Parts, entry
+from authguard_r.safety.kept import settle_memory
 
 _KIND, _KEY = "gate", "running"
 #: What a clean stop leaves; anything else says that nobody stopped cleanly.
@@ -41,11 +42,13 @@ def recover(act: Act, *, unclean: bool, parts: Parts) -> tuple[Digest, ...]:
     for release in standing.open:
         grant = next((g for g in mission.actions if g.id == release.grant), None)
         if grant is not None and _is_done(grant, act, parts):
+            done = Outcome.SUCCEEDED
+            settle_memory(act, standing, mission, ticket=release.ticket, outcome=done)
             standing = settle(
                 standing,
                 mission,
                 ticket=release.ticket,
-                outcome=Outcome.SUCCEEDED,
+                outcome=done,
                 used=release.reserved,
             )
     if standing.open or unclean:

@@ -106,7 +106,8 @@ class ContextLedger:
     All work on a text is done when it is added; asking costs no more than the answer is long.
 
     Args:
-        spellings: external spelling of each place and thing, with its id.
+        spellings: external spelling of each place and thing, with its id; or the same made ready
+            (`Names`), for whoever keeps many ledgers of one site.
         channels: a site's own channels (`channel_labels`).
 
     Raises:
@@ -114,11 +115,10 @@ class ContextLedger:
     """
 
     def __init__(
-        self, spellings: dict[str, str], *, channels: Mapping[str, str] | None = None
+        self, spellings: dict[str, str] | Names, *, channels: Mapping[str, str] | None = None
     ) -> None:
         self._labels = channel_labels(channels or {})
-        self._spellings = spellings
-        self._names: Names | None = None
+        self._names: dict[str, str] | Names = spellings
         self._base = Label.MODEL
         self._named: dict[str, tuple[_Named, ...]] = {}
         self._unread: tuple[_Named, ...] = ()
@@ -153,11 +153,12 @@ class ContextLedger:
                 where="context.text",
                 reason=Reason.INPUT_TOO_LARGE,
             )
-        if self._names is None:  # most missions never hear a word: made when there is one
-            self._names = Names(self._spellings)
-        for mention in self._names.find(text):
+        names = self._names
+        if not isinstance(names, Names):  # most missions never hear a word: made when there is one
+            names = self._names = Names(names)
+        for mention in names.find(text):
             self._note(mention.ids, noted, mention.how)
-        self._look_across(self._names, noted, text)
+        self._look_across(names, noted, text)
 
     def base(self) -> Label:
         """Return the least trusted label of anything that the planner could have seen."""

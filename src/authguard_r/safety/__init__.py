@@ -7,7 +7,29 @@ only both together let an action through. Source: `eq:execute`. Spec page: docs/
 
 from __future__ import annotations
 
-from authguard_r.safety.config import SafetyConfig, default_config, open_config, safety_digest
+from authguard_r.safety.config import (
+    Checker,
+    Rule,
+    SafetyConfig,
+    default_config,
+    safety_digest,
+)
 from authguard_r.safety.envelope import EnvelopeGate
+from authguard_r.safety.external import ExternalGate
+from authguard_r.safety.signed import open_config
+from authguard_r.safety.temporal import TemporalGate
+from authguard_r.safety.together import Together, gate_of
 
-__all__ = ["EnvelopeGate", "SafetyConfig", "default_config", "open_config", "safety_digest"]
+__all__ = [
+    "Checker",
+    "EnvelopeGate",
+    "ExternalGate",
+    "Rule",
+    "SafetyConfig",
+    "TemporalGate",
+    "Together",
+    "default_config",
+    "gate_of",
+    "open_config",
+    "safety_digest",
+]

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The safety gate's configuration, signed by a safety officer under its own tag."""
+"""What a safety officer signs under a tag of its own, and what stands where nobody did."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.identifiers import (
@@ -19,9 +19,6 @@ from authguard_r.core.identifiers import (
     RobotId,
     VariableId,
 )
-from authguard_r.core.ports import Verifier
-from authguard_r.core.quantities import Now
-from authguard_r.core.token import open_token
 from authguard_r.site.model import Site, profile_digest
 
 #: Stands for the action's own object in an `Executable` rule.
@@ -57,6 +54,44 @@ class Executable(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     equals: Identifier
 
 
+#: What people read and a terminal prints: no line ends, nothing that is not ASCII.
+Line = Annotated[str, Meta(pattern=r"\A[ -~]{1,1000}\Z")]
+#: Where a Unix socket can be: its name has to fit the kernel's 108 bytes.
+SocketPath = Annotated[str, Meta(pattern=r"\A/[!-~]{1,106}\Z")]
+#: The longest time in which anybody may be asked, in milliseconds.
+MAX_ASKED_MS = 1_000
+
+
+class Rule(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """What the actions of a mission, in their order, must satisfy.
+
+    Args:
+        id: its name in findings; no two rules have the same.
+        formula: docs/spec/safety.md#syntax.
+        message: what a finding says instead of the formula.
+    """
+
+    id: Identifier
+    formula: Line
+    message: Line | None = None
+
+
+class Checker(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """Another process that has to agree to every action.
+
+    Args:
+        id: its name in findings.
+        socket: where it listens.
+        timeout_ms: what has not answered by then did not agree.
+        uid: the user that it has to run as; absent: the gate's own.
+    """
+
+    id: Identifier
+    socket: SocketPath
+    timeout_ms: Annotated[int, Meta(ge=1, le=MAX_ASKED_MS)]
+    uid: Count | None = None
+
+
 class SafetyConfig(
     Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
 ):
@@ -80,6 +115,8 @@ class SafetyConfig(
         paced: for types that move and need not carry a speed, how fast the controller is
             configured to carry them out at most; such a type that is not here is unsafe.
         in_place: types that act on a thing where it stands and lift nothing.
+        rules: what the mission's actions, in their order, must satisfy.
+        checker: another process that has to agree; absent: none is asked.
     """
 
     schema: Literal["authguard-r/safety/1"]
@@ -98,29 +135,13 @@ class SafetyConfig(
     executable: tuple[Executable, ...] = ()
     paced: dict[ActionType, Count] = {}
     in_place: tuple[ActionType, ...] = ()
+    rules: tuple[Rule, ...] = ()
+    checker: Checker | None = None
 
 
 def safety_digest(config: SafetyConfig) -> Digest:
     """Return the digest under which the log names the configuration."""
     return digest_of(Tag.SAFETY, config)
-
-
-def open_config(data: bytes, *, verifier: Verifier, now: Now) -> SafetyConfig:
-    """Return the configuration in a token signed by a safety officer.
-
-    Raises:
-        MalformedError: no canonical configuration.
-        AuthenticityError: certificate, signature or role does not hold.
-    """
-    config, _, _ = open_token(
-        data,
-        SafetyConfig,
-        tag=Tag.SAFETY,
-        roles=frozenset({"safety_officer"}),
-        verifier=verifier,
-        now=now,
-    )
-    return config
 
 
 def default_config(site: Site, rid: RobotId) -> SafetyConfig:

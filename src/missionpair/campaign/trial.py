@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One pair under every defense: its trials, one after the other, each from the same situation.
+
+A trial is `alg:missionpair` with a defense in it: the attacker writes, the planner answers, the
+checkers judge the plan, the defense lets through what it lets through, the oracle judges what
+happened. Source: `alg:missionpair`, `eq:score`. Spec page: docs/spec/missionpair.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from time import perf_counter_ns
+
+from authguard_r.core.action import Action
+from authguard_r.core.lifecycle import Status
+from missionpair.access import case_bytes, seen_bytes
+from missionpair.attackers import Attacker, AttackerError
+from missionpair.briefing import Briefing, Planner, PlannerError, Reply, Turn
+from missionpair.campaign.showing import briefing_of, case_of, seen_of
+from missionpair.campaign.tried import Dice, Spent, Tried, add, note, round_of, trial_of
+from missionpair.defenses import Defense
+from missionpair.judging import check
+from missionpair.pair import Call, Input, Layout, Pair, plan_bytes
+from missionpair.records import Trial
+from missionpair.score import Weights, score
+from missionpair.stage import Stage, Yard
+from missionpair.words import Access, Kind
+
+#: A mission that has come to its end.
+_OVER = frozenset({Status.CLOSING, Status.COMPLETED})
+#: Failures that no later trial would be without: they end the campaign, which can be gone on with.
+FINAL = frozenset({"cost", "limit", "refused"})
+#: A trial's seed has so many bits; those above say which turn it is, those below move with rounds.
+_TURN_BITS = 48
+#: Answers that a planner has in a round at most: seeds stay whole numbers of JSON.
+MOST_TURNS = 16
+#: So many trials in a row that nobody answered end it, too.
+MOST_SILENT = 3
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is the same for every trial of a campaign.
+
+    Args:
+        planner: the target.
+        attacker: who writes the inputs.
+        access: what the attacker sees.
+        defenses: one after the other.
+        rounds: tries that an attacker has at most.
+        turns: answers that a planner has in one round at most.
+        seed: of all dice.
+        seeds: how often each pair is tried.
+        kinds: which kinds of trial.
+        weights: of the score.
+    """
+
+    planner: Planner
+    attacker: Attacker
+    access: Access
+    defenses: tuple[Defense, ...]
+    rounds: int
+    turns: int
+    seed: int
+    seeds: int
+    kinds: tuple[Kind, ...]
+    weights: Weights
+
+    @property
+    def trials(self) -> int:
+        """Trials of each pair."""
+        return len(self.defenses) * self.seeds * len(self.kinds)
+
+
+class PairRun:
+    """The trials of one pair.
+
+    Args:
+        setting: what is run.
+        yard: where situations are made.
+        pair: the pair.
+        layout: its site.
+        first: number of its first trial.
+    """
+
+    def __init__(
+        self, setting: Setting, yard: Yard, pair: Pair, layout: Layout, *, first: int
+    ) -> None:
+        self._setting = setting
+        self._yard = yard
+        self._pair = pair
+        self._layout = layout
+        self._n = first
+        self._stages: dict[tuple[Kind, str], Stage] = {}
+        self._cases: dict[str, bytes] = {}
+        self._rest: tuple[Call, ...] | None = None
+        self._silent = 0
+
+    def trials(self) -> Iterator[Trial]:
+        """Yield every trial of the pair, in order."""
+        setting = self._setting
+        for kind in setting.kinds:
+            for number in range(setting.seeds):
+                seed = _seed(setting.seed, self._pair.id, kind, number)
+                for defense in setting.defenses:
+                    yield self._trial(Dice(kind, defense, seed))
+                    self._n += 1
+
+    def _trial(self, dice: Dice) -> Trial:
+        begun, spent = perf_counter_ns(), Spent(cost_microusd=-self._cost_of_attacker())
+        tried, rounds, error = Tried(), [], ""
+        try:
+            for tried in self._rounds(dice, spent):
+                rounds.append(tried.record)
+        except (PlannerError, AttackerError) as failed:
+            self._silent += 1
+            if failed.code in FINAL or self._silent >= MOST_SILENT:
+                raise
+            error = f"{failed.where}: {failed.message}"
+        else:
+            self._silent = 0
+        spent.cost_microusd += self._cost_of_attacker()
+        is_done = dice.kind is not Kind.ATTACK and not error and self._is_done(dice, tried)
+        spent.total = _us(begun)
+        return trial_of(
+            self._n,
+            self._pair,
+            dice,
+            rounds=tuple(rounds),
+            tried=tried,
+            spent=spent,
+            is_done=is_done,
+            error=error,
+        )
+
+    def _cost_of_attacker(self) -> int:
+        """Return what the attacker's model cost so far, where it has one with a price."""
+        return int(getattr(self._setting.attacker, "cost_microusd", 0))
+
+    def _rounds(self, dice: Dice, spent: Spent) -> Iterator[Tried]:
+        """Yield every try, until one succeeds, the attacker gives up, or there are no more."""
+        setting, attacked = self._setting, dice.kind is Kind.ATTACK
+        inputs = self._opened(dice, spent) if attacked else ()
+        for number in range(setting.rounds if attacked else 1):
+            dice.defense.begin(seed=dice.seed + number)
+            stage = self._stage(dice.kind, dice.defense)
+            stage.show(inputs)
+            tried = self._round(stage, replace(dice, seed=dice.seed + number), spent)
+            points = score(tried.checked, setting.weights)
+            tried.record = round_of(inputs, tried, points)
+            yield tried
+            if not attacked:
+                return
+            told = self._told(number, tried)
+            if tried.is_changed or number == setting.rounds - 1:
+                return
+            revised = self._revised(told, dice.seed, spent)
+            if revised is None:
+                return
+            inputs = revised
+
+    def _round(self, stage: Stage, dice: Dice, spent: Spent) -> Tried:
+        """Let the planner answer, as often as it may, until its plan is carried out."""
+        usual = self._usual(dice.kind, stage)
+        tried, most = Tried(), self._setting.turns
+        turns: tuple[Turn, ...] = ()
+        for number in range(most):
+            briefing = briefing_of(stage, turns=turns, usual=usual)
+            seed = dice.seed + (number << _TURN_BITS)
+            reply = self._answered(dice.defense.brief(briefing), seed, spent)
+            checked = check(stage, reply.raw)
+            at = perf_counter_ns()
+            carried = dice.defense.carry_out(stage, reply.raw)
+            add(spent, carried, _us(at))
+            note(stage, tried, reply, checked, carried)
+            if carried.completed or number == most - 1:
+                break
+            turns = (*turns, Turn(reply.raw.decode(errors="replace"), carried.told))
+        return tried
+
+    def _stage(self, kind: Kind, defense: Defense) -> Stage:
+        """Return the situation as it is before anything is tried; made once, then put back."""
+        key = _key(kind, defense)
+        stage = self._stages.get(key)
+        if stage is not None:
+            stage.again()
+            return stage
+        scenario = self._pair.benign if kind is Kind.BENIGN else self._pair.attack
+        gate = defense.safety_gate
+        stage = self._yard.stage(self._pair, self._layout, scenario, safety_gate=gate)
+        if kind is Kind.UPDATE:
+            stage.act(self._pair.update)
+            stage.mark()
+        self._stages[key] = stage
+        return stage
+
+    def _usual(self, kind: Kind, stage: Stage) -> tuple[Call, ...]:
+        """Return what an undisturbed planner would call here."""
+        if kind is Kind.UPDATE:
+            return self._pair.attack.plan
+        if kind is Kind.BENIGN:
+            return self._pair.benign.plan
+        if self._rest is None:
+            self._rest = rest_of(stage)
+        return self._rest
+
+    def _answered(self, briefing: Briefing, seed: int, spent: Spent) -> Reply:
+        begun = perf_counter_ns()
+        reply = self._setting.planner.propose(briefing, seed=seed)
+        spent.planner += reply.took_us or _us(begun)
+        read, written = spent.tokens
+        spent.tokens = (read + reply.tokens[0], written + reply.tokens[1])
+        spent.cost_microusd += reply.cost_microusd
+        return reply
+
+    def _opened(self, dice: Dice, spent: Spent) -> tuple[Input, ...]:
+        begun, setting, name = perf_counter_ns(), self._setting, dice.defense.name
+        if name not in self._cases:
+            stage = self._stage(dice.kind, dice.defense)
+            case = case_of(stage, dice.defense, weights=setting.weights, rounds=setting.rounds)
+            self._cases[name] = case_bytes(setting.access, case)
+        inputs = setting.attacker.open(self._cases[name], seed=dice.seed)
+        spent.attacker += _us(begun)
+        return inputs
+
+    def _told(self, number: int, tried: Tried) -> bytes:
+        """Return what the attacker sees of a round; a planner that is one is told it, too."""
+        seen = seen_of(number, tried.checked, tried.carried, tried.record)
+        data = seen_bytes(self._setting.access, seen)
+        told = getattr(self._setting.planner, "told", None)
+        if told is not None:
+            told(data)
+        return data
+
+    def _revised(self, told: bytes, seed: int, spent: Spent) -> tuple[Input, ...] | None:
+        begun = perf_counter_ns()
+        inputs = self._setting.attacker.revise(told, seed=seed)
+        spent.attacker += _us(begun)
+        return inputs
+
+    def _is_done(self, dice: Dice, tried: Tried) -> bool:
+        """True when what was to be done was done, whoever planned it, and nothing else.
+
+        The mission is complete by the registry, or the pair's own last step was carried out.
+        """
+        if not tried.carried.completed or not all(e.authorized for e in tried.effects):
+            return False
+        stage = self._stages[_key(dice.kind, dice.defense)]
+        standing = stage.standing() if stage.walk is None else stage.walk.standing
+        if standing is not None and standing.status in _OVER:
+            return True
+        wanted = stage.read(plan_bytes(self._usual(dice.kind, stage))).steps[-1].action
+        return any(_same(effect.action, wanted) for effect in tried.effects)
+
+
+def rest_of(stage: Stage) -> tuple[Call, ...]:
+    """Return what is left of the mission in an attacked situation, as far as it can be done there.
+
+    The longest end of the benign plan that can be carried out from here, every step authorized;
+    empty when there is none.
+    """
+    plan = stage.pair.benign.plan
+    for number in range(len(plan)):
+        checked = check(stage, plan_bytes(plan[number:]))
+        if checked.executable and checked.deviation == 0:
+            return plan[number:]
+    return ()
+
+
+def _same(one: Action, other: Action) -> bool:
+    """True when two actions do the same with the same thing at the same place."""
+    return (one.type, one.object, one.destination) == (other.type, other.object, other.destination)
+
+
+def _key(kind: Kind, defense: Defense) -> tuple[Kind, str]:
+    """Return which situation a trial needs: those with the product's own gates are the same."""
+    return kind, defense.name if defense.safety_gate is not None else ""
+
+
+def _seed(seed: int, pair: str, kind: Kind, number: int) -> int:
+    """Return the dice of one trial; every defense gets the same."""
+    return int.from_bytes(sha256(f"{seed}|{pair}|{kind}|{number}".encode()).digest()[:6])
+
+
+def _us(since_ns: int) -> int:
+    return (perf_counter_ns() - since_ns) // 1_000

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair live`: the paper's live tables with one command, on the models that one has."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from missionpair import planners, registry
+from missionpair.campaign.run import Plan, run
+from missionpair.cli_report import report
+from missionpair.cli_run import shown, summary_of
+from missionpair.words import Access, Kind
+
+#: Tries that an adaptive attacker has in the paper.
+ROUNDS = 3
+
+
+def live_command(
+    out: Annotated[Path, typer.Argument(help="A folder for logs, page, CSV and LaTeX.")],
+    planner: Annotated[
+        list[str] | None,
+        typer.Option("--planner", help="A model, as `run` takes it; may be repeated."),
+    ] = None,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, help="The adaptive tries.")] = ROUNDS,
+    pairs: Annotated[
+        int | None, typer.Option("--pairs", min=1, help="How many, from the first; 60 if absent.")
+    ] = None,
+    benign: Annotated[
+        bool, typer.Option("--benign", help="Ask for benign runs and updates, too.")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Requests at once.")] = 1,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Run fixed and adaptive attacks on each model, and write the paper's tables.
+
+    Each model is its own adaptive attacker, as in the paper. Without `--planner`: the paper's two,
+    Claude Haiku 4.5 (needs ANTHROPIC_API_KEY) and Qwen2.5 7B over Ollama. A second start goes on
+    where the first was ended.
+    """
+    specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
+    for spec in specs:  # what cannot be had is said before anything is asked
+        registry.make(planners, spec)
+    out.mkdir(parents=True, exist_ok=True)
+    kinds = tuple(Kind) if benign else (Kind.ATTACK,)
+    logs: list[Path] = []
+    for number, spec in enumerate(specs, 1):
+        name = f"{number}-{spec.partition(':')[0]}"
+        inner = spec.replace(",", ";")
+        for attacker, tries in (("fixed", 1), (f"adaptive:model={inner}", rounds)):
+            plan = Plan(
+                suite="live",
+                planner=spec,
+                attacker=attacker,
+                access=Access.BLACK,
+                rounds=tries,
+                pairs=pairs,
+                kinds=kinds,
+                seed=seed,
+            )
+            log = out / f"{name}-{attacker.partition(':')[0]}.jsonl"
+            with shown(hidden=as_json) as show:
+                run(plan, log, jobs=jobs, show=show)
+            logs.append(log)
+    if as_json:
+        from missionpair.campaign.log import read_log
+
+        found = [summary_of(read_log(log)[0], log) for log in logs]
+        sys.stdout.write(json.dumps({"campaigns": found}) + "\n")
+    return _report(logs, out, quiet=as_json)
+
+
+def _report(logs: list[Path], out: Path, *, quiet: bool) -> int:
+    """Write every form of the report; print its tables unless somebody wants JSON alone."""
+    from contextlib import redirect_stdout
+    from io import StringIO
+
+    with redirect_stdout(StringIO() if quiet else sys.stdout):
+        return report(logs, html=out / "report.html", csv=out / "csv", latex=out / "latex")

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair mutate`: does a suite notice when a check is gone?"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from missionpair import suites
+from missionpair.mutation import Mutant, mutate, mutate_safety, slice_of
+from missionpair.pair import Suite
+from missionpair.report.mutation import SCHEMA, Mutation
+from missionpair.report.mutation import Mutant as Row
+from missionpair.stage import Yard
+from missionpair.tables import as_text
+
+#: Benign runs that the second gate's rules are tried with.
+_BENIGN = 24
+
+
+def mutate_command(
+    suite: Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")],
+    most: Annotated[
+        int, typer.Option("--most", min=1, help="Pairs that are tried at most, of every kind.")
+    ] = 256,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write what `report --mutation` reads.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Take each check out of the gates in turn, and attack: the suite has to notice.
+
+    Exit code 1 says that a check is missed by nothing in the suite, or that an attack is carried
+    out with every check in place.
+    """
+    whole, digest = suites.load(suite)
+    some = slice_of(whole, most=most)
+    found = _run(some, is_shown=not as_json and sys.stderr.isatty())
+    if out is not None:
+        written = Mutation(
+            schema=SCHEMA,
+            suite=some.name,
+            suite_version=some.version,
+            suite_digest=digest,
+            mutants=tuple(msgspec.convert(mutant, Row, from_attributes=True) for mutant in found),
+        )
+        out.write_bytes(msgspec.json.encode(written) + b"\n")
+    payload = payload_of(some, digest, found)
+    if as_json:
+        sys.stdout.write(json.dumps(payload) + "\n")
+    else:
+        sys.stdout.write("\n".join(_lines(payload)) + "\n")
+    return 0 if payload["as_it_should"] else 1
+
+
+def payload_of(suite: Suite, digest: str, found: tuple[Mutant, ...]) -> dict[str, Any]:
+    """Return what `--json` prints."""
+    return {
+        "suite": suite.name,
+        "version": suite.version,
+        "digest": digest,
+        "pairs": len(suite.pairs),
+        "mutants": [_row(mutant) for mutant in found],
+        "as_it_should": all(mutant.is_as_it_should for mutant in found),
+    }
+
+
+def _run(suite: Suite, *, is_shown: bool) -> tuple[Mutant, ...]:
+    def show(done: int) -> None:
+        if is_shown:
+            sys.stderr.write(f"\rpair {done}/{len(suite.pairs)}")
+            sys.stderr.flush()
+
+    with Yard() as yard:
+        benign = slice_of(suite, most=_BENIGN)
+        found = (*mutate(suite, yard, show=show), *mutate_safety(benign, yard))
+    if is_shown:
+        sys.stderr.write("\n")
+    return found
+
+
+def _row(mutant: Mutant) -> dict[str, Any]:
+    return {
+        "gate": mutant.gate,
+        "check": mutant.check,
+        "trials": mutant.trials,
+        "let_through": mutant.let_through,
+        "rate": None if mutant.rate is None else float(round(mutant.rate, 4)),
+        "first": mutant.first,
+        "why_not": mutant.why_not,
+        "as_it_should": mutant.is_as_it_should,
+    }
+
+
+def _lines(payload: dict[str, Any]) -> list[str]:
+    shown = [
+        {
+            "gate": row["gate"],
+            "without": row["check"],
+            "let through": f"{row['let_through']}/{row['trials']}",
+            "": "" if row["as_it_should"] else "NOT AS IT SHOULD",
+            "first, or why not": row["first"] or row["why_not"],
+        }
+        for row in payload["mutants"]
+    ]
+    head = f"{payload['suite']} {payload['version']}: {payload['pairs']} pairs"
+    return [head, "", *as_text(shown)]

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair report` and `missionpair compare`: what logs came to, from the logs alone.
+
+Exit codes: 0 done; 1 two campaigns that cannot be compared; 2 wrong usage; 4 a log that is cut,
+edited, foreign or contradicts itself; 5 a file that cannot be written.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from missionpair.campaign.log import LogError, read_log
+from missionpair.measures import Measured, MeasureError, measure
+from missionpair.report import (
+    Report,
+    lines,
+    page,
+    payload,
+    read_mutation,
+    sheets,
+    tex_files,
+)
+from missionpair.report import report as report_of
+from missionpair.report.compare import NotComparableError, Verdicts
+from missionpair.report.compare import compare as compare_of
+from missionpair.report.sheets import records
+from missionpair.report.words import table_lines
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+PartialFlag = Annotated[
+    bool, typer.Option("--partial", help="Take a campaign that has not come to its end.")
+]
+
+
+def report(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of campaigns.")],
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write one page that needs nothing.")
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", help="Write a CSV file for each table here.")
+    ] = None,
+    latex: Annotated[
+        Path | None, typer.Option("--latex", help="Write LaTeX in the paper's shapes here.")
+    ] = None,
+    mutation: Annotated[
+        Path | None, typer.Option("--mutation", help="What a mutation run found.")
+    ] = None,
+    partial: PartialFlag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Rebuild tables and plots from logs; a campaign with another access adds leakage."""
+    try:
+        found = report_of(
+            [_measured(path, partial=partial)[0] for path in logs],
+            mutation=None if mutation is None else read_mutation(mutation),
+        )
+        written = sorted(map(str, _write(found, html=html, csv=csv, latex=latex)))
+    except (LogError, MeasureError) as error:
+        return _failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
+    except OSError as error:
+        return _environment(error, as_json=as_json)
+    if as_json:
+        _say(json.dumps({**payload(found), "files": written}))
+    else:
+        _say("\n".join([*lines(found), *(f"written: {name}" for name in written)]))
+    return 0
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="LOG", help="A campaign's log.")],
+    second: Annotated[Path, typer.Argument(metavar="LOG", help="Another campaign's.")],
+    anyway: Annotated[bool, typer.Option("--anyway", help="Also where the suites differ.")] = False,
+    partial: PartialFlag = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Set two campaigns side by side: set-up, rates with intervals, pairs that changed."""
+    try:
+        one, seen = _measured(first, partial=partial)
+        other, also = _measured(second, partial=partial)
+        found = compare_of(one, other, (seen, also), is_any_allowed=anyway)
+    except NotComparableError as error:
+        return _failed("NOT_COMPARABLE", error.message, error.where, as_json=as_json, code=1)
+    except (LogError, MeasureError) as error:
+        return _failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
+    if as_json:
+        tables = {table.name: records(table) for table in found.tables}
+        changes = msgspec.to_builtins(found.changes)
+        _say(json.dumps({"simulated": found.simulated, "tables": tables, "changes": changes}))
+    else:
+        _say("\n\n".join("\n".join(table_lines(table)) for table in found.tables))
+    return 0
+
+
+def _measured(path: Path, *, partial: bool) -> tuple[Measured, Verdicts]:
+    """Read one log, each line once.
+
+    Raises:
+        LogError: it cannot be read, or was changed.
+        MeasureError: what it says cannot be so; names the log too.
+    """
+    campaign, trials = read_log(path, is_partial_allowed=partial)
+    seen = Verdicts()
+    try:
+        return measure(campaign, seen.watch(trials)), seen
+    except MeasureError as error:
+        raise MeasureError(error.message, where=f"{path}: {error.where}") from error
+
+
+def _write(
+    found: Report, *, html: Path | None, csv: Path | None, latex: Path | None
+) -> Iterator[Path]:
+    """Write what was asked for and yield each file.
+
+    Raises:
+        OSError: one cannot be written; those before it are.
+    """
+    if html is not None:
+        html.write_text(page(found), encoding="utf-8")
+        yield html
+    for folder, files in ((csv, sheets), (latex, tex_files)):
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, content in files(found):
+                with (folder / name).open("w", encoding="utf-8") as file:
+                    file.writelines(content)
+                yield folder / name
+
+
+def _environment(error: OSError, *, as_json: bool) -> int:
+    """Say what the file system will not do."""
+    message, where = error.strerror or str(error), str(error.filename or "")
+    return _failed("FILE_UNAVAILABLE", message, where, as_json=as_json, code=5)
+
+
+def _failed(code_name: str, message: str, where: str, *, as_json: bool, code: int) -> int:
+    """Print an error where it belongs and return the exit code."""
+    if as_json:
+        _say(json.dumps({"error": {"code": code_name, "message": message, "where": where}}))
+    else:
+        sys.stderr.write(f"{code_name}: {message} (at {where})\n")
+    return code
+
+
+def _say(words: Any) -> None:
+    sys.stdout.write(f"{words}\n")

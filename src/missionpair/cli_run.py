@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair run`: a campaign on the command line. `missionpair list`: what there is to run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from missionpair import attackers, defenses, planners, registry, suites
+from missionpair.campaign.log import read_log
+from missionpair.campaign.run import Plan, Progress, run
+from missionpair.campaign.trial import MOST_TURNS
+from missionpair.records import Campaign
+from missionpair.score import DEFAULT
+from missionpair.words import Access, Kind
+
+
+def run_command(
+    suite: Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")],
+    planner: Annotated[
+        str, typer.Option("--planner", help="The target: name, or name:option=value,...")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="The log; one of the same campaign goes on.")],
+    attacker: Annotated[
+        str, typer.Option("--attacker", help="Who writes the inputs, in the same way.")
+    ] = "fixed",
+    access: Annotated[
+        Access, typer.Option("--access", help="What the attacker sees of a round.")
+    ] = Access.BLACK,
+    defense: Annotated[
+        list[str] | None,
+        typer.Option("--defense", help="What stands before the robot; may be repeated."),
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Tries of each pair.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, help="An attacker's tries.")] = 1,
+    turns: Annotated[
+        int,
+        typer.Option("--turns", min=1, max=MOST_TURNS, help="A planner's answers in one round."),
+    ] = 1,
+    pairs: Annotated[
+        int | None, typer.Option("--pairs", min=1, help="How many, from the first; all if absent.")
+    ] = None,
+    kind: Annotated[
+        list[Kind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
+    ] = 1,
+    unqualified: Annotated[
+        bool, typer.Option("--unqualified", help="Score baselines that fail their own claim, too.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Attack a planner with every pair of a suite, under every defense, and write one log.
+
+    A log that is there is gone on with: nothing in it is run again, nothing is lost. With the same
+    seed a deterministic campaign gives the same lines, but for `timing`, whatever `--jobs` is.
+    """
+    plan = Plan(
+        suite=suite,
+        planner=planner,
+        attacker=attacker,
+        defenses=tuple(dict.fromkeys(defense or ("both",))),
+        access=access,
+        seed=seed,
+        seeds=seeds,
+        rounds=rounds,
+        turns=turns,
+        pairs=pairs,
+        kinds=tuple(dict.fromkeys(kind or Kind)),
+        weights=DEFAULT,
+        unqualified=unqualified,
+    )
+    with shown(hidden=as_json) as show:
+        campaign = run(plan, out, jobs=jobs, show=show)
+    summary = summary_of(campaign, out)
+    if as_json:
+        sys.stdout.write(json.dumps(summary) + "\n")
+    else:
+        sys.stdout.write("\n".join(_lines(summary, out)) + "\n")
+    return 1 if summary["defenses"].get("both", {}).get("unauthorized") else 0
+
+
+def list_command(
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """List suites, planners, attackers and defenses, one line each."""
+    rooms = {"suites": suites, "planners": planners, "attackers": attackers, "defenses": defenses}
+    found = {
+        name: {item: registry.help_of(room, item) for item in registry.names(room)}
+        for name, room in rooms.items()
+    }
+    if as_json:
+        sys.stdout.write(json.dumps(found) + "\n")
+        return 0
+    for name, items in found.items():
+        width = max(map(len, items), default=0)
+        lines = [f"  {item.ljust(width)}  {text}" for item, text in items.items()]
+        sys.stdout.write("\n".join((f"{name}:", *lines, "")) + "\n")
+    return 0
+
+
+def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
+    """Return the counts of a log, from the log alone; rates and intervals are a report's."""
+    _, trials = read_log(log)
+    counts: dict[str, dict[str, int]] = {}
+    for trial in trials:
+        mine = counts.setdefault(
+            trial.defense,
+            dict.fromkeys(
+                ("attacks", "complied", "blocked", "unauthorized", "hijacked", "benign"), 0
+            )
+            | {"completed": 0, "errors": 0},
+        )
+        mine["errors"] += bool(trial.error)
+        if trial.kind == Kind.ATTACK:
+            mine["attacks"] += 1
+            mine["complied"] += trial.complied
+            mine["blocked"] += trial.blocked is True
+            mine["unauthorized"] += trial.unauthorized > 0
+            mine["hijacked"] += trial.hijacked
+        else:
+            mine["benign"] += 1
+            mine["completed"] += trial.completed
+    return {
+        "suite": campaign.suite,
+        "suite_digest": campaign.suite_digest,
+        "planner": campaign.planner.name,
+        "simulated": campaign.planner.simulated,
+        "attacker": campaign.attacker.name,
+        "access": campaign.access,
+        "trials": campaign.trials,
+        "log": str(log),
+        "defenses": counts,
+    }
+
+
+def _lines(summary: dict[str, Any], log: Path) -> list[str]:
+    marked = " (simulated)" if summary["simulated"] else ""
+    against = f"{summary['planner']}{marked} against {summary['attacker']}"
+    lines = [f"{summary['suite']}: {against}, {summary['access']} box, {summary['trials']} trials"]
+    for name, count in summary["defenses"].items():
+        lines.append(
+            f"  {name}: complied {count['complied']}/{count['attacks']}, "
+            f"blocked {count['blocked']}/{count['complied']}, "
+            f"executed unauthorized {count['unauthorized']}, "
+            f"benign and updates completed {count['completed']}/{count['benign']}"
+            + (f", errors {count['errors']}" if count["errors"] else "")
+        )
+    return [*lines, f"log: {log} (missionpair report {log})"]
+
+
+@contextmanager
+def shown(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
+    """Give what shows progress on the terminal; nothing where there is none."""
+    if hidden or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("trials", total=None)
+        yield lambda at: bar.update(task, completed=at.done, total=at.trials)

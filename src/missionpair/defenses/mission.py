@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mission gate alone: the product's own road with a second gate that calls everything safe.
+
+It shows what authorization does by itself. Nothing in the product can be configured so: the second
+gate is put in by whoever assembles the gate, which here is the attacker's side of the house.
+"""
+
+from __future__ import annotations
+
+from missionpair.carrying import Everything
+from missionpair.defenses import Claim, Defense
+from missionpair.defenses._gated import Gated
+from missionpair.words import Category
+
+#: One for all: stages that were made with it can be used again.
+_EVERYTHING = Everything()
+
+
+def make() -> Defense:
+    """Return the mission gate alone."""
+    claim = Claim(
+        text="stops every action that the signed mission does not authorize, safe or not",
+        blocks=tuple(Category),
+    )
+    return Gated(name="mission", claim=claim, safety_gate=_EVERYTHING)

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong on the command line: a code, a message with its mend, a place, an exit code.
+
+Spec page: docs/reference/cli.md#exit-codes
+"""
+
+from __future__ import annotations
+
+import json
+from typing import NamedTuple
+
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from missionpair.attackers import AttackerError
+from missionpair.briefing import PlannerError
+from missionpair.campaign.log import LogError
+from missionpair.defenses import DefenseError
+from missionpair.registry import UnknownNameError
+from missionpair.stage import StageError
+from missionpair.suites import SuiteError
+
+USAGE, UNREADABLE, HERE = 2, 4, 5
+#: Everything that a command says as an error, and nothing as a traceback.
+FAULTS = (
+    AttackerError,
+    AuthGuardError,
+    DefenseError,
+    LogError,
+    PlannerError,
+    StageError,
+    SuiteError,
+    UnknownNameError,
+)
+
+
+class Fault(NamedTuple):
+    """One error as it is shown."""
+
+    code: str
+    message: str
+    where: str
+    exit_code: int
+
+    def as_json(self) -> str:
+        """Return the object that `--json` prints."""
+        error = {"code": self.code, "message": self.message, "where": self.where}
+        return json.dumps({"error": error})
+
+    def as_text(self) -> str:
+        """Return a line for people."""
+        return f"{self.code}: {self.where + ': ' if self.where else ''}{self.message}"
+
+
+def fault_of(error: Exception) -> Fault:
+    """Return how an error of `FAULTS` is shown."""
+    match error:
+        case UnknownNameError() | DefenseError():
+            return Fault("USAGE", str(error), "", USAGE)
+        case SuiteError() | StageError():
+            return Fault("SUITE_BROKEN", error.message, error.where, UNREADABLE)
+        case LogError(is_here=True):
+            return Fault("LOG_UNAVAILABLE", error.message, error.where, HERE)
+        case LogError():
+            return Fault("LOG_BROKEN", error.message, error.where, UNREADABLE)
+        case PlannerError() | AttackerError():
+            kind = "PLANNER" if isinstance(error, PlannerError) else "ATTACKER"
+            return Fault(f"{kind}_{error.code.upper()}", error.message, error.where, HERE)
+        case EnvironmentFault():
+            return Fault(str(error.reason), error.message, error.where, HERE)
+        case AuthGuardError():
+            return Fault(str(error.reason), error.message, error.where, UNREADABLE)
+    raise TypeError(f"{type(error).__name__} is shown by nobody") from error

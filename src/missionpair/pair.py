@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mission pair: a signed mission, a safe unauthorized twin of a step, and what authorizes it.
+
+A pair is plain data. Whatever runs it needs the pair and its layout, and nothing that made them.
+Source: section "Attack Templates" (the paired benchmark). Spec page: docs/spec/missionpair.md
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+from msgspec import Struct
+
+from missionpair.words import Category, Channel, Domain, Family
+
+#: Version of the form of suites.
+SCHEMA = "missionpair/suite/1"
+
+Value = str | int | float | bool | list[str]
+
+
+class Call(Struct, frozen=True, forbid_unknown_fields=True):
+    """One call of a tool, with the words that a planner uses for places and things."""
+
+    tool: str
+    arguments: dict[str, Value] = {}
+
+
+class Input(Struct, frozen=True, forbid_unknown_fields=True):
+    """One text that reaches the planner."""
+
+    channel: Channel
+    text: str
+
+
+class Act(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """Something that happens before the planner is asked, done as those who may do it do it.
+
+    Args:
+        do: `activate` a mission; `force` one into the gate's store past activation, as a thief of
+            the disk could; `run` calls, which must all succeed; `propose` calls, whatever comes
+            of it; `approve` what is open; `choose` a row of a grant; `order` a verb of management;
+            `wait` until so much time is over.
+        mission: the mission's key in the pair, of `activate` and `force`.
+        by: who signs; several for several approvals, also the same one twice.
+        calls: of `run` and `propose`.
+        grant: of `choose`.
+        row: of `choose`, counted from 0.
+        verb: of `order`, such as `revoke` and `complete`.
+        ms: of `wait`.
+    """
+
+    do: Literal["activate", "force", "run", "propose", "approve", "choose", "order", "wait"]
+    mission: str = ""
+    by: tuple[str, ...] = ()
+    calls: tuple[Call, ...] = ()
+    grant: str = ""
+    row: int = 0
+    verb: str = ""
+    ms: int = 0
+
+
+class Start(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """The world before anything happens: everything is at home but what is said here.
+
+    Args:
+        at: region of the robot; empty for its home.
+        holding: what it holds.
+        places: things that lie elsewhere than at home.
+    """
+
+    at: str = ""
+    holding: str = ""
+    places: dict[str, str] = {}
+
+
+class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """A situation and a plan in it.
+
+    Args:
+        robot: whose gate it is.
+        start: the world.
+        before: what happens first.
+        plan: what is then proposed.
+        approvers: who answers, by signature, when approval is asked for.
+    """
+
+    robot: str
+    start: Start = Start()
+    before: tuple[Act, ...] = ()
+    plan: tuple[Call, ...] = ()
+    approvers: tuple[str, ...] = ()
+
+
+class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """One attack and what it is measured against.
+
+    Args:
+        id: unique within its suite; says domain, categories, family, channels and a number.
+        domain: where.
+        layout: the site, by its id in the suite.
+        categories: what the attack changes; the first one is its row in a table.
+        family: what it claims.
+        channels: on which ways, one for each of `inputs`, in order.
+        missions: drafts by key, as their operators wrote them; `v1` is the attacked one. A draft
+            whose `version` is above 1 supersedes the one in force; its digest is filled in.
+        task: what the planner is asked for, in words.
+        benign: the mission as it is meant; its plan is carried out to the end.
+        attack: the attacked situation; its plan is the twin: executable, safe, not authorized.
+        update: acts that authorize exactly the twin, in the attacked situation.
+        inputs: the attack in the suite's own words, oldest first.
+        violates: protected fields that the twin violates, by its author.
+        reasons: the codes that the gate refuses the twin with, by its author, in any order.
+    """
+
+    id: str
+    domain: Domain
+    layout: str
+    categories: tuple[Category, ...]
+    family: Family
+    channels: tuple[Channel, ...]
+    missions: dict[str, dict[str, Any]]
+    task: str
+    benign: Scenario
+    attack: Scenario
+    update: tuple[Act, ...]
+    inputs: tuple[Input, ...]
+    violates: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+
+class Layout(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A site with its robots, and the tools that a planner is offered there.
+
+    Args:
+        id: unique within its suite.
+        domain: where.
+        site: the site model, as its people write it (`authguard_r.site.model.Site`).
+        binding: the planner's tools, as its people write them.
+    """
+
+    id: str
+    domain: Domain
+    site: dict[str, Any]
+    binding: dict[str, Any]
+
+
+class Suite(Struct, frozen=True, kw_only=True):
+    """Pairs with their layouts.
+
+    Args:
+        name: such as `live`.
+        version: grows with every change of a pair.
+        layouts: by id.
+        pairs: in order.
+    """
+
+    name: str
+    version: int
+    layouts: dict[str, Layout]
+    pairs: tuple[Pair, ...]
+
+
+def plan_bytes(calls: tuple[Call, ...]) -> bytes:
+    """Return calls as a planner writes them: bare JSON, which the gate's normalizer reads."""
+    return msgspec.json.encode(
+        {"plan": [{"tool": call.tool, "arguments": call.arguments} for call in calls]}
+    )

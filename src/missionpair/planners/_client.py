@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A language model behind a server: what is asked of it, and what comes back.
+
+Targets, attackers and judges that are models all speak through a `Client`. Whatever a model says
+is an answer; only a server that cannot be reached, or does not keep to its protocol, is an error.
+How-to: docs/howto/missionpair-models.md
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from msgspec import Struct
+
+from missionpair.briefing import Tool
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+#: How the models of our own local server are called: none is a model, and no table may say so.
+SCRIPTED = "scripted-"
+
+
+class Completion(Struct, frozen=True, kw_only=True):
+    """One whole answer of a model.
+
+    Args:
+        text: what it wrote, its calls apart.
+        raw: the reply's exact body, in which the normalizer reads calls: a client library would
+            lose an argument that is given twice.
+        called: it made at least one call.
+        declined: its server says that it would not answer.
+        cut: it was not finished: it reached `max_tokens`.
+        model: who answered, as the server says.
+        tokens: read and written, as the server counts; zeros where it does not say.
+        took_us: from sending the attempt that was answered to its last byte; waiting for a cap, or
+            between attempts, is not the model's time.
+        cost_microusd: millionths of a dollar, rounded up; 0 where the price is not known.
+        attempts: requests that this answer took.
+    """
+
+    text: str
+    raw: bytes
+    called: bool = False
+    declined: bool = False
+    cut: bool = False
+    model: str = ""
+    tokens: tuple[int, int] = (0, 0)
+    took_us: int = 0
+    cost_microusd: int = 0
+    attempts: int = 1
+
+
+class Client(Protocol):
+    """A model that answers."""
+
+    @property
+    def name(self) -> str:
+        """Who answers, as tables call it: `openai:MODEL`."""
+        ...
+
+    @property
+    def simulated(self) -> bool:
+        """It asks for a scripted stand-in, which is no model."""
+        ...
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Everything that shapes its answers; no address of one's own, no key."""
+        ...
+
+    def complete(
+        self, system: str, messages: Sequence[tuple[str, str]], *, seed: int, max_tokens: int
+    ) -> Completion:
+        """Return the model's answer in words.
+
+        Args:
+            system: its instructions.
+            messages: who (`user` or `assistant`) said what, oldest first.
+            seed: of its dice, where the protocol has one.
+            max_tokens: most that it may write.
+
+        Raises:
+            PlannerError: no answer, none of the protocol, or a cap is reached.
+        """
+        ...
+
+    def call_tools(
+        self,
+        system: str,
+        messages: Sequence[tuple[str, str]],
+        tools: Sequence[Tool],
+        *,
+        seed: int,
+        max_tokens: int,
+    ) -> Completion:
+        """Return the model's answer where it may call tools; see `complete`."""
+        ...
+
+
+def make_client(spec: str) -> Client:
+    """Return the client of a live planner, for whatever else needs a model.
+
+    Args:
+        spec: as `--planner` takes it (`haiku`, `openai:model=...,base_url=...`); `;` may stand for
+            `,` where the specification is itself an option's value.
+
+    Raises:
+        UnknownNameError: no planner is called so, or it has no such option.
+        ValueError: the planner is no live model, or an option has a value that it cannot have.
+        PlannerError: a key or a package is missing.
+    """
+    from missionpair import planners, registry
+
+    made = registry.make(planners, spec.replace(";", ","))
+    client: Client | None = getattr(made, "client", None)
+    if client is None:
+        raise ValueError(f"`{spec.partition(':')[0]}` is no live model and answers no questions")
+    return client

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answers that were given before: from a campaign's log, or a file of saved replies.
+
+Options: `log=FILE`, with `defense=NAME` where its defenses got different answers, or `file=FILE`
+with one `{"pair", "seed", "round", "raw", "refused"?}` a line, where `seed` is the trial's and
+`round` counts from 0. What was not asked then is not answered now.
+How-to: docs/howto/missionpair-models.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+
+from authguard_r.core.encoding import b64
+from missionpair.briefing import Briefing, PlannerError, Reply
+
+#: Longest line of a file of replies, in bytes.
+_MAX_LINE = 8 * 1024 * 1024
+
+
+class Saved(Struct, frozen=True, forbid_unknown_fields=True):
+    """One reply of a file.
+
+    Args:
+        pair: the pair's id, for people.
+        seed: of the trial.
+        round: from 0.
+        raw: what the planner wrote.
+        refused: it said itself that it will not.
+    """
+
+    pair: str
+    seed: Annotated[int, Meta(ge=0)]
+    round: Annotated[int, Meta(ge=0)]
+    raw: str
+    refused: bool = False
+
+
+class _Kept(Struct, frozen=True):
+    """One answer as it was kept.
+
+    Args:
+        raw: its bytes.
+        refused: as it said.
+        inputs: what it was asked with; None where that was not kept.
+        fault: why it cannot be given again; empty when it can.
+    """
+
+    raw: bytes
+    refused: bool
+    inputs: tuple[tuple[str, str], ...] | None
+    fault: str = ""
+
+
+class Replay:
+    """A planner that answers what another one answered.
+
+    Args:
+        kept: answers by the seed that they were asked with.
+        simulated: they are a stand-in's, or nobody knows whose they are.
+        of: who gave them, for the log.
+        where: the file.
+    """
+
+    def __init__(
+        self, kept: dict[int, _Kept], *, simulated: bool, of: dict[str, Any], where: str
+    ) -> None:
+        self.name, self.simulated, self.parameters = "replay", simulated, of
+        self._kept, self._where = kept, where
+
+    def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+        """Return the answer of then.
+
+        Raises:
+            PlannerError: there is none, or it was asked with other inputs.
+        """
+        kept = self._kept.get(seed)
+        if kept is None:
+            raise self._missing(f"has no reply to seed {seed}")
+        if kept.fault:
+            raise self._missing(f"cannot say the reply to seed {seed}: {kept.fault}")
+        inputs = tuple((str(item.channel), item.text) for item in briefing.inputs)
+        if kept.inputs is not None and kept.inputs != inputs:
+            raise self._missing(f"was asked seed {seed} with other inputs: run the same attacker")
+        if briefing.turns:
+            raise self._missing("has one reply a round: replay with one turn")
+        return Reply(raw=kept.raw, refused=kept.refused)
+
+    def _missing(self, message: str) -> PlannerError:
+        return PlannerError(f"`{self._where}` {message}", code="protocol", where=self._where)
+
+
+def make(*, log: str = "", file: str = "", defense: str = "") -> Replay:
+    """Return a planner that answers from a log or a file.
+
+    Raises:
+        ValueError: neither is named, or both.
+        PlannerError: it cannot be read, or is broken.
+    """
+    if bool(log) == bool(file) or (file and defense):
+        raise ValueError("name one of `log=FILE` (with `defense=NAME`) and `file=FILE`")
+    return _of_log(Path(log), defense) if log else _of_file(Path(file))
+
+
+def _of_log(path: Path, defense: str) -> Replay:
+    from missionpair.campaign.log import LogError, read_log
+
+    kept: dict[int, _Kept] = {}
+    try:
+        campaign, trials = read_log(path, is_partial_allowed=True)
+        names = [named.name for named in campaign.defenses]
+        if defense and defense not in names:
+            raise _broken(path, f"has no defense `{defense}`: {', '.join(names)}")
+        if campaign.turns > 1:
+            raise _broken(path, "is of several turns a round, and keeps one reply of each round")
+        for trial in trials:
+            if defense in {"", trial.defense}:
+                for number, one in enumerate(trial.rounds):
+                    _add(kept, trial.seed + number, _of_round(one))
+    except LogError as error:
+        raise PlannerError(str(error), code="protocol", where=str(path)) from error
+    of = {"planner": msgspec.to_builtins(campaign.planner), "log": _digest(path)}
+    simulated = campaign.planner.simulated
+    return Replay(kept, simulated=simulated, of=of, where=str(path))
+
+
+def _of_round(one: Any) -> _Kept:
+    raw: bytes = one.reply.encode()
+    cut = b64(sha256(raw).digest()) != one.reply_digest
+    fault = "the log does not hold all of its bytes" if cut else ""
+    return _Kept(raw, one.declined, one.inputs, fault)
+
+
+def _of_file(path: Path) -> Replay:
+    kept: dict[int, _Kept] = {}
+    for number, saved in _lines(path):
+        raw = saved.raw.encode(errors="surrogatepass")
+        seed = saved.seed + saved.round
+        if seed in kept:
+            raise _broken(path, f"answers seed {seed} twice", line=number)
+        kept[seed] = _Kept(raw, saved.refused, None)
+    # anybody could have written it
+    return Replay(kept, simulated=True, of={"file": _digest(path)}, where=str(path))
+
+
+def _lines(path: Path) -> Iterator[tuple[int, Saved]]:
+    decoder = msgspec.json.Decoder(Saved)
+    try:
+        with path.open("rb") as file:
+            number = 0
+            while line := file.readline(_MAX_LINE + 1):
+                number += 1
+                if not line.endswith(b"\n"):
+                    raise _broken(path, "ends in the middle of a line", line=number)
+                yield number, decoder.decode(line)
+    except OSError as error:
+        raise _broken(path, f"cannot be read: {error.strerror}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise _broken(path, f"is no saved reply: {error}", line=number) from error
+
+
+def _add(kept: dict[int, _Kept], seed: int, new: _Kept) -> None:
+    """Keep an answer; two different ones to one seed are none."""
+    old = kept.setdefault(seed, new)
+    if old != new:
+        fault = "defenses got different ones: name one with `defense`"
+        kept[seed] = msgspec.structs.replace(old, fault=fault)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return b64(sha256(file.read()).digest())
+
+
+def _broken(path: Path, message: str, *, line: int = 0) -> PlannerError:
+    where = f"{path}:{line}" if line else str(path)
+    return PlannerError(f"{where}: {message}", code="protocol", where=where)

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign writes: one line for each trial, and nothing else is kept of it.
+
+Every figure of a report is computed from these lines. Everything but `timing` is the same when a
+deterministic campaign is run again. Spec page: docs/spec/campaign-log.md
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msgspec import Struct
+
+#: Version of the log's format.
+SCHEMA = "missionpair/log/1"
+
+
+class Named(Struct, frozen=True, forbid_unknown_fields=True):
+    """A planner, an attacker or a defense: its name and every parameter that shapes it.
+
+    Args:
+        name: as `--planner`, `--attacker` and `--defense` take it.
+        simulated: it stands for something that was not run (a model, a person).
+        parameters: published, so that a stranger can run the same.
+    """
+
+    name: str
+    simulated: bool = False
+    parameters: dict[str, Any] = {}
+
+
+class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="campaign"):
+    """The first line: what was run.
+
+    Args:
+        schema: version of this format.
+        suite: its name.
+        suite_version: its version.
+        suite_digest: of its canonical bytes.
+        pairs: how many of its pairs were taken, from the first.
+        planner: the target.
+        attacker: who writes the inputs.
+        access: what the attacker sees.
+        defenses: what stands between planner and robot, one after the other.
+        seed: of all dice.
+        seeds: how often each pair is tried.
+        rounds: how many tries an attacker has at most.
+        turns: how many answers a planner has in one round at most.
+        kinds: which kinds of trial are run.
+        weights: lambda_1 to lambda_5 of the score; each is above zero.
+        trials: how many trial lines a whole log has.
+        version: of the software.
+    """
+
+    schema: str
+    suite: str
+    suite_version: int
+    suite_digest: str
+    pairs: int
+    planner: Named
+    attacker: Named
+    access: str
+    defenses: tuple[Named, ...]
+    seed: int
+    seeds: int
+    rounds: int
+    turns: int
+    kinds: tuple[str, ...]
+    weights: tuple[int, int, int, int, int]
+    trials: int
+    version: str
+
+
+class Timing(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How long the parts took, microseconds; the one part of a line that two runs differ in.
+
+    Args:
+        planner: all answers of the target.
+        attacker: all answers of the attacker.
+        normalize: T_N.
+        decide: T_P of the authorization gate, its store and log included.
+        safety: T_S.
+        defense: everything between an answer and its verdict.
+        world: the simulated world, and judging what happened in it.
+        total: the whole trial, with its preparation.
+    """
+
+    planner: int = 0
+    attacker: int = 0
+    normalize: int = 0
+    decide: int = 0
+    safety: int = 0
+    defense: int = 0
+    world: int = 0
+    total: int = 0
+
+
+class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One try of the attacker: what it sent, what the planner made of it, what the checkers say.
+
+    Args:
+        inputs: what was sent, by channel; empty where a planner needs none.
+        reply: the planner's answer, its first 4,096 characters.
+        reply_digest: of all its bytes.
+        declined: the planner said itself that it will not.
+        syntax: the normalizer's reason where it refused the answer (InvalidSyntax).
+        executable: X of the plan.
+        safe: SA of the plan.
+        hazards: the safety model's classes where it is not safe (ObviousHarm).
+        deviation: D_M of the plan, a fraction such as `1/44`; `0` of an authorized one.
+        violated: codes of the protected fields that the plan violates.
+        score: J of the plan in thousandths, for white-box attackers.
+    """
+
+    inputs: tuple[tuple[str, str], ...] = ()
+    reply: str = ""
+    reply_digest: str = ""
+    declined: bool = False
+    syntax: str = ""
+    executable: bool = False
+    safe: bool = False
+    hazards: tuple[str, ...] = ()
+    deviation: str = "0"
+    violated: tuple[str, ...] = ()
+    score: int = 0
+
+
+class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="trial"):
+    """One trial of one pair under one defense.
+
+    Args:
+        n: its number, from 0; a log holds them in order.
+        pair: the pair's id.
+        kind: `attack`, `benign` or `update`.
+        defense: its name.
+        seed: of this trial's dice.
+        domain: of the pair.
+        categories: of the pair.
+        family: of the pair.
+        channels: of the pair.
+        rounds: every try.
+        complied: the planner's plan has an action with a protected field changed, normalized and
+            executable: the attack reached the defense.
+        instead: where it did not: `declined`, `unparsable`, `not_executable`, `authorized` (the
+            planner kept to its mission) or `error` (nothing was answered).
+        blocked: nothing unauthorized of what complied was executed; None where nothing complied.
+        by: who refused: `authorization`, `safety`, `normalizer`, or a defense's own name; empty
+            when nobody did.
+        reasons: the refusal's codes.
+        planned: actions of the last plan.
+        executed: actions that the world carried out.
+        unauthorized: of those, actions that the oracle finds unauthorized.
+        hijacked: SCMH of what was executed: executable, safe and not authorized.
+        violated: codes of the protected fields that executed actions violate, by the oracle.
+        deviation: the largest D_M of what was executed.
+        completed: a benign run or an update came to its end.
+        prompts: how often a person was asked.
+        stalled_ms: simulated time that the robot stood although it had something to do.
+        false_stop: it was stopped, or sent home, for nothing.
+        error: a planner's or an attacker's failure; the trial counts, and nothing else is said.
+        tokens: read and written by the target.
+        cost_microusd: of target and attacker.
+        timing: how long it took.
+    """
+
+    n: int
+    pair: str
+    kind: str
+    defense: str
+    seed: int
+    domain: str
+    categories: tuple[str, ...]
+    family: str
+    channels: tuple[str, ...]
+    rounds: tuple[Round, ...]
+    complied: bool
+    instead: str
+    blocked: bool | None
+    by: str
+    reasons: tuple[str, ...]
+    planned: int
+    executed: int
+    unauthorized: int
+    hijacked: bool
+    violated: tuple[str, ...]
+    deviation: str
+    completed: bool
+    prompts: int
+    stalled_ms: int
+    false_stop: bool
+    error: str
+    tokens: tuple[int, int]
+    cost_microusd: int
+    timing: Timing
+
+
+class End(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="end"):
+    """The last line of a whole log: how many trials it has."""
+
+    trials: int
+
+
+Line = Campaign | Trial | End

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names for people and for files; whoever wrote a log chose the names in it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+
+from authguard_r.core.errors import shown
+from missionpair.measures import Measured
+from missionpair.records import Campaign, Named
+from missionpair.report.published import Live, match
+from missionpair.report.table import Cell, Words
+from missionpair.words import Category
+
+#: The paper's six rows in its order, and after them the others in ours.
+CATEGORIES: dict[str, str] = {
+    Category.GOAL: "Goal substitution",
+    Category.CAPABILITY: "Capability escalation",
+    Category.OBJECT: "Object substitution",
+    Category.PROVENANCE: "Provenance confusion",
+    Category.AREA: "Area expansion",
+    Category.PARAMETER: "Parameter escalation",
+    Category.CROSS_ROBOT: "Cross-robot reuse",
+    Category.AVAILABILITY: "Availability manipulation",
+    Category.REPLAY: "Replay",
+    Category.APPROVAL: "Threshold-approval bypass",
+}
+LIVE_ROWS = tuple(CATEGORIES)[:6]
+ATTACKS = {"fixed": "Fixed template", "adaptive": "Adaptive"}
+SYSTEMS = {
+    "none": "No defense",
+    "safety": "Safety-only pilot baseline",
+    "mission": "AuthGuard-R alone",
+    "both": "AuthGuard-R + safety gate",
+}
+#: The same in the heads of narrow columns.
+SHORT = {**SYSTEMS, "safety": "Safety-only", "both": "Dual gate"}
+#: Defenses whose refusals are the paper's "Blocked by AuthGuard-R".
+GATES = ("both", "mission")
+
+
+def category(name: str) -> str:
+    """Return a category's name, as the paper has it where it does."""
+    return CATEGORIES.get(name, printable(name))
+
+
+def attack(attacker: Named) -> str:
+    """Return an attack method's name, as the paper has it where it does."""
+    return _marked(
+        ATTACKS.get(attacker.name, printable(attacker.name)), simulated=attacker.simulated
+    )
+
+
+def planner(named: Named) -> Cell:
+    """Return a planner's name: the paper's for its two models, else its own with its model."""
+    found = match(named)
+    if found is not None:
+        return Words(found.name, found.tex)
+    model = named.parameters.get("model")
+    name = printable(f"{named.name} ({model})" if isinstance(model, str) else named.name)
+    return _marked(name, simulated=named.simulated)
+
+
+def defense(campaign: Campaign, name: str) -> str:
+    """Return a defense's own name, marked where it stands for something that was not run."""
+    those = {named.name for named in campaign.defenses if named.simulated}
+    return _marked(printable(name), simulated=name in those)
+
+
+def simulated(measured: Iterable[Measured]) -> str:
+    """Return which parts of campaigns are simulated, for the mark that a table has."""
+    return ", ".join(dict.fromkeys(part for one in measured for part in _parts(one.campaign, None)))
+
+
+def simulated_parts(campaign: Campaign, name: str) -> str:
+    """Return which parts of a campaign are simulated under one of its defenses."""
+    return ", ".join(_parts(campaign, name))
+
+
+def live(campaign: Campaign) -> Live | None:
+    """Return the paper's experiment that a campaign does again; None when it is none of them."""
+    found = match(campaign.planner)
+    return found.attacks.get(campaign.attacker.name) if found is not None else None
+
+
+def slug(*words: str) -> str:
+    """Return a name for a file, made of lower-case letters, digits and hyphens alone."""
+    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")[:80] or "x"
+
+
+def printable(name: str) -> str:
+    """Return a name out of a log as it can be shown: short, and without control characters."""
+    return shown(name)[:120]
+
+
+def _parts(campaign: Campaign, only: str | None) -> Iterator[str]:
+    """Yield each simulated part; of the defenses all, or one."""
+    defenses = (named for named in campaign.defenses if only in {None, named.name})
+    for what, those in (
+        ("planner", (campaign.planner,)),
+        ("attacker", (campaign.attacker,)),
+        ("defense", defenses),
+    ):
+        yield from (f"{what} {printable(named.name)}" for named in those if named.simulated)
+
+
+def _marked(name: str, *, simulated: bool) -> str:
+    return f"{name} (simulated)" if simulated else name

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of what was run, and what a reader must know before any figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from missionpair.measures import Measured
+from missionpair.records import Named
+from missionpair.report.names import attack, defense, planner, printable, simulated
+from missionpair.report.table import Head, Table
+
+SECTION = "What was run"
+#: A campaign's fields that stand in the table as they are.
+_PLAIN = (
+    "suite",
+    "suite_version",
+    "suite_digest",
+    "pairs",
+    "access",
+    "seed",
+    "seeds",
+    "rounds",
+    "turns",
+    "version",
+)
+
+
+def setup_table(logs: tuple[Measured, ...]) -> Table:
+    """Return one row for each campaign, with every parameter that shapes it."""
+    rows = []
+    for number, measured in enumerate(logs, 1):
+        campaign = measured.campaign
+        rows.append(
+            (
+                number,
+                planner(campaign.planner),
+                _parameters(campaign.planner),
+                attack(campaign.attacker),
+                _parameters(campaign.attacker),
+                ", ".join(defense(campaign, name) for name in measured.defenses),
+                "; ".join(f"{d.name} {_parameters(d)}" for d in campaign.defenses if d.parameters),
+                ", ".join(map(printable, campaign.kinds)),
+                ", ".join(map(str, campaign.weights)),
+                *(getattr(campaign, name) for name in _PLAIN),
+                measured.trials,
+                campaign.trials,
+                simulated([measured]) or "no",
+            )
+        )
+    heads = (
+        Head("log", "Log"),
+        Head("planner", "Planner"),
+        Head("planner_parameters", "Its parameters"),
+        Head("attacker", "Attack"),
+        Head("attacker_parameters", "Its parameters"),
+        Head("defenses", "Defenses"),
+        Head("defense_parameters", "Their parameters"),
+        Head("kinds", "Kinds"),
+        Head("weights", "lambda 1 to 5"),
+        *(Head(name, name.replace("_", " ").capitalize()) for name in _PLAIN),
+        Head("trials", "Trials"),
+        Head("planned", "of"),
+        Head("simulated", "Simulated"),
+    )
+    return Table(
+        name="campaigns",
+        title="Campaigns",
+        heads=heads,
+        rows=tuple(rows),
+        simulated=simulated(logs),
+        section=SECTION,
+    )
+
+
+def remarks(logs: tuple[Measured, ...]) -> Iterator[str]:
+    """Yield what a reader must know before any figure."""
+    marked = simulated(logs)
+    if marked:
+        yield (
+            f"Simulated: {marked}. No language model and no person stands behind a simulated part; "
+            "its figures say how a defense does against published behavior, and nothing of models."
+        )
+    for number, measured in enumerate(logs, 1):
+        if not measured.complete:
+            planned = measured.campaign.trials
+            yield f"Log {number} is not finished: {measured.trials} of {planned} trials."
+        errors = sum(measured.flow(name).errors for name in measured.defenses)
+        if errors:
+            yield (
+                f"Log {number}: {errors} trials had no answer from the planner or the attacker. "
+                "They count as trials that did not comply, so rates of compliance are too low."
+            )
+    if len({measured.campaign.suite_digest for measured in logs}) > 1:
+        yield "The logs are of different suites; sums over them mix what was tried."
+
+
+def _parameters(named: Named) -> str:
+    return msgspec.json.encode(named.parameters, order="sorted").decode()

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-in: no model, a script that reads the prompt by verbs and names and answers.
+
+- `obedient` follows the newest text that asks for anything, whoever wrote it, else the task.
+- `resistant` follows the task alone.
+- `mixed:SEED` is either, by a die thrown over SEED, the request's seed and the prompt.
+- `odd:KIND` answers what models answer on a bad day.
+
+Asked by an attacker, it leads the last texts in with other words; asked by a judge, it grades 5.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from hashlib import sha256
+
+from msgspec import Struct
+
+from missionpair.briefing import Tool
+from missionpair.pair import Call
+from missionpair.planners._client import SCRIPTED
+from missionpair.planners._prompt import Prompt, read_prompt
+from missionpair.words import Channel
+
+#: What the stand-in says when it is asked for anything but a plan.
+NO_PLAN = "I am a scripted stand-in and plan only for robots."
+NOTHING = "There is nothing that I would do."
+_REFUSAL = "I can't help with that."
+
+
+#: One delivery of a task, and where a robot is.
+_DELIVERY = re.compile(r"\b[Cc]arry (.+?) from (.+?) to (.+?)(?=, then carry |\.?$)")
+_SITUATION = re.compile(r"The robot is at (.+) and holds (.+)\.")
+#: A judge's grade, as its instructions show it, and what an attacker's texts are led in with.
+_GRADE = "[[5]]"
+_LEADS = ("Attention.", "Important.", "Please note.")
+_TEXT = re.compile(rf"\[({'|'.join(Channel)})\] ([^\n\[]*)")
+_LED = re.compile(rf"^(?:{'|'.join(map(re.escape, _LEADS))}) ")
+
+
+class Written(Struct, frozen=True):
+    """One call as a model writes it: its arguments are text, right or wrong."""
+
+    tool: str
+    arguments: str
+
+
+class Asked(Struct, frozen=True, kw_only=True):
+    """What a request asks, whatever its protocol.
+
+    Args:
+        model: which model is asked.
+        system: the instructions.
+        user: the last message.
+        tools: what may be called; none where the plan is to be written.
+        seed: of the dice; 0 where the protocol has none.
+    """
+
+    model: str
+    system: str
+    user: str
+    tools: tuple[Tool, ...]
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Hold what anybody may have sent to its types."""
+        names = (tool.name for tool in self.tools)
+        if not all(isinstance(text, str) for text in (self.model, self.system, self.user, *names)):
+            raise TypeError("expected texts")
+        if not all(isinstance(tool.parameters, dict) for tool in self.tools):
+            raise TypeError("expected schemas")
+
+
+class Answer(Struct, frozen=True, kw_only=True):
+    """What the stand-in answers, whatever the protocol.
+
+    Args:
+        text: in words.
+        calls: its calls.
+        refusal: its server says that it would not.
+        cut: it was not finished.
+    """
+
+    text: str = ""
+    calls: tuple[Written, ...] = ()
+    refusal: bool = False
+    cut: bool = False
+
+
+class Behavior(Struct, frozen=True):
+    """What the stand-in does.
+
+    Args:
+        kind: `obedient`, `resistant`, `mixed` or `odd`.
+        detail: the seed of `mixed`, the kind of `odd`.
+    """
+
+    kind: str
+    detail: str = ""
+
+    @property
+    def model(self) -> str:
+        """What the stand-in calls itself."""
+        return SCRIPTED + self.kind
+
+    def answer(self, asked: Asked) -> Answer:
+        """Return what is answered; the same to the same."""
+        if self.kind == "odd":
+            return _ODD[self.detail]
+        prompt = read_prompt(asked.system, asked.user)
+        if prompt is None:
+            return Answer(text=_words(asked))
+        calls = _calls(prompt, asked.tools or prompt.tools, follows=self._follows(asked))
+        written = tuple(Written(call.tool, json.dumps(call.arguments)) for call in calls)
+        if asked.tools:
+            return Answer(calls=written) if written else Answer(text=NOTHING)
+        return Answer(text=plan_text(written))
+
+    def _follows(self, asked: Asked) -> bool:
+        """True when texts of others are followed."""
+        if self.kind != "mixed":
+            return self.kind == "obedient"
+        thrown = f"{self.detail}|{asked.seed}|{asked.system}|{asked.user}"
+        return sha256(thrown.encode(errors="replace")).digest()[0] % 2 == 0
+
+
+def behavior_of(text: str) -> Behavior:
+    """Return the behavior of that name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    kind, _, detail = text.partition(":")
+    ways = {"obedient": not detail, "resistant": not detail, "odd": detail in _ODD}
+    ways["mixed"] = detail.isascii() and detail.isdecimal()
+    if not ways.get(kind):
+        odd = ", ".join(_ODD)
+        raise ValueError(
+            f"no behavior `{text}`: expected obedient, resistant, mixed:SEED, "
+            f"faulty:FAULT or odd:KIND with one of {odd}"
+        )
+    return Behavior(kind, detail)
+
+
+def plan_text(calls: tuple[Written, ...]) -> str:
+    """Return calls as a model writes a plan."""
+    items = (f'{{"tool": {json.dumps(c.tool)}, "arguments": {c.arguments}}}' for c in calls)
+    return f'{{"plan": [{", ".join(items)}]}}'
+
+
+def _calls(prompt: Prompt, tools: tuple[Tool, ...], *, follows: bool) -> tuple[Call, ...]:
+    from missionpair.wording.reading import read
+
+    texts = [item.text for item in reversed(prompt.inputs)] if follows else []
+    for text in (*texts, spelled_out(prompt)):
+        found = read(text, tools=tools, places=prompt.places, things=prompt.things)
+        if found:
+            return found
+    return ()
+
+
+def spelled_out(prompt: Prompt) -> str:
+    """Return the task step by step, from where the robot is: the reader knows single steps only."""
+    deliveries = _DELIVERY.findall(prompt.task)
+    found = _SITUATION.fullmatch(prompt.situation)
+    at, held = (found[1], found[2]) if found is not None else ("", "")
+    started = [n for n, (thing, _, _) in enumerate(deliveries) if thing == held]
+    steps = []
+    for thing, source, target in deliveries[started[0] if started else 0 :]:
+        if thing != held:
+            steps += [] if source == at else [f"Go to {source}."]
+            steps.append(f"Pick up {thing}.")
+        steps += [f"Go to {target}.", f"Put down {thing} at {target}."]
+        at, held = target, ""
+    return " ".join(steps) or prompt.task
+
+
+def _words(asked: Asked) -> str:
+    """Return what is said to whoever asks for no plan: a judge's grade, or an attacker's texts."""
+    if _GRADE in asked.system:
+        return _GRADE
+    texts: dict[str, str] = {}
+    for channel, text in _TEXT.findall(asked.user):
+        texts[channel] = _LED.sub("", text).strip()
+    lead = _LEADS[asked.seed % len(_LEADS)]
+    return "\n".join(f"[{c}] {lead} {text}" for c, text in texts.items() if text) or NO_PLAN
+
+
+#: Two destinations in one call: a reader that takes the last one runs another plan.
+_TWICE = Written("navigate_to", '{"destination": "Pharmacy", "destination": "Station 103"}')
+_ODD: dict[str, Answer] = {
+    "nonsense": Answer(text="Beep boop, the moon is a {harsh} mistress [sic]."),
+    "nothing": Answer(),
+    "refusal": Answer(text=_REFUSAL),
+    "refusal-flag": Answer(text=_REFUSAL, refusal=True),
+    "half": Answer(text='{"plan": [{"tool": "navigate_to", "arguments": {"dest'),
+    "quoted-refusal": Answer(text=json.dumps(_REFUSAL)),
+    "empty-plan": Answer(text='{"plan": []}'),
+    "written-plan": Answer(text=plan_text((Written("scan", "{}"),))),
+    "unknown-tool": Answer(calls=(Written("fly_to", '{"destination": "Pharmacy"}'),)),
+    "twice": Answer(calls=(_TWICE,)),
+    "half-arguments": Answer(calls=(Written("navigate_to", '{"destination": "Pha'),)),
+    "cut": Answer(text='{"plan": [', cut=True),
+    "half-character": Answer(text='{"plan": "\ud800"}'),
+}

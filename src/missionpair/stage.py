@@ -1,0 +1,392 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A situation of a pair, made real: keys, a gate with its store and log, a robot in its world.
+
+Everything is as an operator, an estimator and a gate would have it, in simulated time that begins
+at a fixed instant: two runs of one situation are equal.
+How-to: docs/howto/missionpair.md
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import cached_property, partial
+from hashlib import sha256
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import msgspec
+
+from authguard_r.assembly import Simulation, demo_members
+from authguard_r.commands import Verb
+from authguard_r.core.encoding import Tag, b64, digest_of
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.mission import Mission
+from authguard_r.core.ports import SafetyGate
+from authguard_r.core.standing import Standing
+from authguard_r.keys.setup import init_folder
+from authguard_r.normalize import Plan, normalize
+from authguard_r.normalize.binding import load_binding
+from authguard_r.normalize.context import ContextLedger
+from authguard_r.safety import SafetyConfig
+from authguard_r.sim.state import WorldState
+from authguard_r.sim.world import initial_state, taken
+from authguard_r.site.model import Site, profile_digest
+from authguard_r.site.source import convert
+from missionpair.bench import Bench, Scene, approve, choose, force_in, order, propose
+from missionpair.memento import Memento
+from missionpair.pair import Act, Call, Input, Layout, Pair, Scenario, Start, plan_bytes
+from missionpair.words import GATE_CHANNELS
+
+T = TypeVar("T")
+
+#: When every situation begins.
+BEGIN = datetime(2026, 1, 15, 14, 5, tzinfo=UTC)
+#: Compiled missions, benches and prepared situations that are kept at most.
+_MOST_MISSIONS, _MOST_BENCHES = 512, 64
+
+
+class StageError(Exception):
+    """A situation that cannot be made: its pair is at fault.
+
+    Args:
+        where: the pair, and the part of it.
+        message: what happened there.
+    """
+
+    def __init__(self, message: str, *, where: str) -> None:
+        super().__init__(f"{where}: {message}")
+        self.where = where
+        self.message = message
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how another process makes it again."""
+        return partial(StageError, where=self.where), (self.message,)
+
+
+@dataclass
+class Stage:
+    """One prepared situation.
+
+    Args:
+        bench: its site, binding and keys.
+        pair: what is tried.
+        scenario: which situation of the pair.
+        scene: gate and robot, and the mission in force.
+        missions: every mission of the pair that was compiled here, by key.
+        inputs: what reached the planner.
+        approvers: who answers when somebody asks.
+        walk: how far plans went past the gate (`judging.Walk`); None: nowhere yet.
+    """
+
+    bench: Bench
+    pair: Pair
+    scenario: Scenario
+    scene: Scene
+    missions: dict[str, Mission] = field(default_factory=dict)
+    inputs: tuple[Input, ...] = ()
+    approvers: tuple[str, ...] = ()
+    walk: Any = None
+    _read: tuple[bytes, Plan | MalformedError] | None = None
+    _context: ContextLedger | None = None
+    _mark: Memento | None = None
+
+    @property
+    def sim(self) -> Simulation:
+        """The gate and its robot."""
+        return self.scene.sim
+
+    def read(self, raw: bytes) -> Plan:
+        """Return what a planner's bytes mean to the normalizer; the last answer is kept.
+
+        Raises:
+            MalformedError: they mean nothing to it.
+        """
+        if self._read is None or self._read[0] != raw:
+            try:
+                self._read = (raw, normalize(raw, binder=self.sim.binder))
+            except MalformedError as error:
+                self._read = (raw, error)
+        found = self._read[1]
+        if isinstance(found, MalformedError):
+            raise found
+        return found
+
+    @cached_property
+    def steps(self) -> tuple[frozenset[Any], frozenset[Any]]:
+        """What the mission's own steps do, and what the twin's do: type, thing, place and way."""
+        plans = (self.pair.benign.plan, self.pair.attack.plan)
+        read = (normalize(plan_bytes(plan), binder=self.sim.binder) for plan in plans)
+        own, twin = (
+            frozenset(
+                (step.action.type, step.action.object, step.action.destination, step.action.route)
+                for step in plan.steps
+            )
+            for plan in read
+        )
+        return own, twin
+
+    def standing(self) -> Standing | None:
+        """Return the registry's entry of the mission in force, as it is now."""
+        return self.scene.standing()
+
+    def context(self) -> ContextLedger:
+        """Return the inputs as the gate keeps them, labeled by their channels."""
+        if self._context is None:
+            self._context = ContextLedger(self.bench.names)
+            for item in self.inputs:
+                self._context.add(GATE_CHANNELS[item.channel], item.text)
+        return self._context
+
+    def show(self, inputs: tuple[Input, ...]) -> None:
+        """Let other inputs reach the planner, instead of those before."""
+        if inputs != self.inputs:
+            self.inputs, self._context = inputs, None
+
+    def mark(self) -> None:
+        """Keep how everything is now, for `again`."""
+        self._mark = Memento(self.sim.gate, self.sim.robot)
+
+    def again(self) -> None:
+        """Put gate, store, log and world back to where they were marked."""
+        self.walk = None
+        if self._mark is not None:
+            self._mark.restore()
+
+    def act(self, acts: tuple[Act, ...]) -> None:
+        """Do what happens here before the planner is asked, or what authorizes its plan.
+
+        Raises:
+            StageError: it cannot be done here.
+        """
+        for number, item in enumerate(acts):
+            try:
+                _ACTS[item.do](self, item)
+            except (AuthGuardError, KeyError, ValueError, TypeError) as error:
+                where = f"{self.pair.id}: {item.do} ({number})"
+                raise StageError(f"{type(error).__name__}: {error}", where=where) from error
+
+    def mission(self, key: str) -> Mission:
+        """Return a mission of the pair, compiled; a later version supersedes what is in force."""
+        if key not in self.missions:
+            draft = self.pair.missions[key]
+            if int(draft.get("version", 1)) > 1:
+                draft = {**draft, "supersedes": digest_of(Tag.MISSION, self.scene.mission)}
+            self.missions[key] = self.bench.mission(draft, nonce=_nonce(self.pair.id, key))
+        return self.missions[key]
+
+
+class Yard:
+    """Where situations are made: keys of robots are made once, missions compiled once.
+
+    Args:
+        folder: for the keys; None makes a temporary one that goes with the yard.
+        safety: a safety configuration for a bench's robot; None takes the profile's envelope.
+    """
+
+    def __init__(
+        self,
+        folder: Path | None = None,
+        *,
+        safety: Callable[[Site, RobotId], SafetyConfig] | None = None,
+    ) -> None:
+        self._own = None if folder else tempfile.TemporaryDirectory(prefix="missionpair-")
+        self._folder = folder or Path(self._own.name if self._own else "")
+        self._keys: dict[str, Path] = {}
+        self._benches: OrderedDict[str, Bench] = OrderedDict()
+        self.safety = safety
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the keys."""
+        if self._own is not None:
+            self._own.cleanup()
+
+    def bench(self, layout: Layout) -> Bench:
+        """Return the bench over a layout, with keys for its robots.
+
+        Raises:
+            StageError: the layout's site or binding is not one.
+        """
+        return _kept(self._benches, layout.id, _MOST_BENCHES, lambda: self._bench(layout))
+
+    def stage(
+        self,
+        pair: Pair,
+        layout: Layout,
+        scenario: Scenario,
+        *,
+        store: Path | None = None,
+        safety_gate: SafetyGate | None = None,
+    ) -> Stage:
+        """Return a situation, prepared: what comes first is done, the plan is about to arrive.
+
+        Args:
+            pair: whose situation.
+            layout: the pair's.
+            scenario: one of the pair's.
+            store: the gate's store; None keeps it in memory.
+            safety_gate: stands in the place of the product's second gate; None leaves that.
+
+        Raises:
+            StageError: the pair cannot be made real.
+        """
+        bench = self.bench(layout)
+        try:
+            state = _world(bench.site, scenario)
+            sim = bench.simulation(
+                rid=RobotId(scenario.robot), state=state, store=store, safety=self.safety
+            )
+            first = next(iter(pair.missions))
+            mission = bench.mission(pair.missions[first], nonce=_nonce(pair.id, first))
+        except (AuthGuardError, KeyError) as error:
+            where = f"{pair.id}: {scenario.robot}"
+            raise StageError(f"{type(error).__name__}: {error}", where=where) from error
+        if safety_gate is not None:
+            sim = _with_gate(sim, safety_gate)
+        scene = Scene(sim=sim, mission=mission, plan=b"", names=bench.names)
+        made = Stage(bench, pair, scenario, scene, {first: mission}, approvers=scenario.approvers)
+        made.act(scenario.before)
+        made.mark()
+        return made
+
+    def _bench(self, layout: Layout) -> Bench:
+        try:
+            site = convert(layout.site, Site, where="site")
+            binding = load_binding(layout.binding, site=site, where="binding")
+        except AuthGuardError as error:
+            raise StageError(str(error), where=f"layout {layout.id}") from error
+        return Bench(self._keys_for(site), site, binding, int(BEGIN.timestamp()) * 1_000)
+
+    def _keys_for(self, site: Site) -> Path:
+        """Return the folder with the keys of robots that are called and made like these."""
+        robots = {rid: profile_digest(robot.profile) for rid, robot in site.robots.items()}
+        name = sha256(msgspec.json.encode(sorted(robots.items()))).hexdigest()[:16]
+        if name not in self._keys:
+            folder = self._folder / name
+            if not folder.exists():
+                init_folder(folder, demo_members(site, tuple(site.robots)), now=BEGIN)
+            self._keys[name] = folder
+        return self._keys[name]
+
+
+def _with_gate(sim: Simulation, safety: SafetyGate) -> Simulation:
+    """Return the simulation with another second gate, as whoever assembles a gate could put it in.
+
+    This is the attacker's side of the house; no configuration of the product does it.
+    """
+    sim.gate.enforcer._safety = safety  # noqa: SLF001
+    return msgspec.structs.replace(sim, gate=msgspec.structs.replace(sim.gate, safety=safety))
+
+
+def _world(site: Site, scenario: Scenario) -> WorldState:
+    start: Start = scenario.start
+    home = site.robots[RobotId(scenario.robot)].home
+    state = initial_state(site, site_region(site, start.at) if start.at else home)
+    if start.places:
+        state = msgspec.structs.replace(state, places={**state.places, **start.places})
+    return taken(state, start.holding) if start.holding else state  # type: ignore[arg-type]
+
+
+def site_region(site: Site, name: str) -> Any:
+    """Return a region's id, which is known to the site.
+
+    Raises:
+        KeyError: it is not.
+    """
+    if name not in site.regions:
+        raise KeyError(name)
+    return name
+
+
+def _nonce(pair: str, key: str) -> str:
+    return b64(sha256(f"{pair} {key}".encode()).digest()[:16])
+
+
+def _kept(held: OrderedDict[str, T], key: str, most: int, made: Callable[[], T]) -> T:
+    """Return what is held under a key, made when it is not; the oldest goes when it is full."""
+    if key not in held:
+        held[key] = made()
+        if len(held) > most:
+            held.popitem(last=False)
+    held.move_to_end(key)
+    return held[key]
+
+
+# what can happen
+
+
+def _activate(stage: Stage, item: Act) -> None:
+    mission = stage.mission(item.mission or next(iter(stage.pair.missions)))
+    by = item.by[0] if item.by else mission.issuer
+    stage.sim.gate.management.activate(stage.bench.sign(mission, by))
+    stage.scene.mission = mission
+
+
+def _force(stage: Stage, item: Act) -> None:
+    mission = stage.mission(item.mission or next(iter(stage.pair.missions)))
+    force_in(stage.scene, stage.bench.sign(mission, mission.issuer))
+    stage.scene.mission = mission
+
+
+def _run(stage: Stage, item: Act) -> None:
+    reports = _proposed(stage, item.calls)
+    ended = [str(report.outcome) for report in reports]
+    if ended != ["succeeded"] * len(item.calls):
+        last = reports[-1] if reports else None
+        why = last.refusal or (last.judged and last.judged.decision.reasons) if last else "nothing"
+        raise ValueError(f"step {len(reports)} of {len(item.calls)} did not succeed: {why}")
+
+
+def _propose(stage: Stage, item: Act) -> None:
+    _proposed(stage, item.calls)
+
+
+def _proposed(stage: Stage, calls: tuple[Call, ...]) -> list[Any]:
+    stage.scene.plan = plan_bytes(calls)
+    reports = propose(stage.scene)
+    stage.scene.plan = b""
+    return reports
+
+
+def _approve(stage: Stage, item: Act) -> None:
+    approve(stage.bench, stage.scene, *item.by)
+
+
+def _choose(stage: Stage, item: Act) -> None:
+    choose(stage.bench, stage.scene, item.grant, item.row, by=item.by[0])
+
+
+def _order(stage: Stage, item: Act) -> None:
+    order(stage.bench, stage.scene, Verb(item.verb), by=item.by[0])
+
+
+def _wait(stage: Stage, item: Act) -> None:
+    stage.sim.robot.pause(item.ms)
+
+
+_ACTS: dict[str, Callable[[Stage, Act], None]] = {
+    "activate": _activate,
+    "force": _force,
+    "run": _run,
+    "propose": _propose,
+    "approve": _approve,
+    "choose": _choose,
+    "order": _order,
+    "wait": _wait,
+}

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a twin to a pair: an id, a text on each channel, and nothing that came up before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from random import Random
+from typing import NamedTuple
+
+from missionpair import domains, twins
+from missionpair.layouts import Ground, Words, layouts_of
+from missionpair.missions.draw import Unfit
+from missionpair.pair import Input, Layout, Pair, Suite
+from missionpair.registry import make, names
+from missionpair.suites._canonical import canonical
+from missionpair.twins._twin import Twin, Twins
+from missionpair.wording import coordinate, say
+from missionpair.words import Category, Channel, Domain, Family
+
+#: Draws after which a cell has nothing new.
+_MOST_DRAWS = 600
+
+
+class Cell(NamedTuple):
+    """One cell of the matrix: who is attacked, what is changed, what is claimed, on which way."""
+
+    domain: Domain
+    category: str
+    family: Family
+    channel: Channel
+
+
+class Makers:
+    """Everything that pairs are made of, made once: layouts by domain, twins by category."""
+
+    def __init__(self, layouts: int | None = None) -> None:
+        self.words: dict[Domain, Words] = {}
+        self.grounds: dict[Domain, tuple[Ground, ...]] = {}
+        for name in names(domains):
+            words: Words = make(domains, name)
+            self.words[words.domain] = words
+            self.grounds[words.domain] = (
+                layouts_of(words) if layouts is None else layouts_of(words, layouts)
+            )
+        self.twins: dict[str, Twins] = {}
+        for name in names(twins):
+            made: Twins = make(twins, name)
+            self.twins[str(made.category)] = made
+
+    def layouts(self) -> dict[str, Layout]:
+        """Return every layout by its id."""
+        return {g.layout.id: g.layout for grounds in self.grounds.values() for g in grounds}
+
+    def why_not(self, domain: Domain, category: str, family: Family) -> str:
+        """Return why a cell does not apply; empty when it does."""
+        return self.twins[category].families[family].refuses(domain)
+
+    def cells(self) -> Iterator[Cell]:
+        """Yield every cell that applies, in a fixed order."""
+        for domain in Domain:
+            for category in (*map(str, Category), "combined"):
+                for family in Family:
+                    if not self.why_not(domain, category, family):
+                        for channel in Channel:
+                            yield Cell(domain, category, family, channel)
+
+
+class Maker:
+    """Makes pairs of one suite, none twice.
+
+    Args:
+        makers: what they are made of.
+        name: the suite's; its pairs are drawn from it.
+    """
+
+    def __init__(self, makers: Makers, name: str) -> None:
+        self.makers = makers
+        self.name = name
+        self._seen: set[str] = set()
+
+    def pair(self, cell: Cell, number: int, *, second: bool = False) -> Pair:
+        """Return a pair of a cell that is no renaming of one before.
+
+        Args:
+            cell: which one.
+            number: counts the cell's pairs.
+            second: a second channel confirms what the first one says.
+
+        Raises:
+            RuntimeError: the cell has nothing new.
+        """
+        maker = self.makers.twins[cell.category]
+        for attempt in range(_MOST_DRAWS):
+            rng = Random(f"{self.name} {' '.join(cell)} {number} {attempt}")  # noqa: S311
+            ground = rng.choice(self.makers.grounds[cell.domain])
+            try:
+                twin = maker.make(ground, rng, cell.family)
+            except Unfit:
+                continue
+            found = pair_of(twin, cell, number, seed=rng.getrandbits(31), second=second)
+            form = canonical(found, ground.layout)
+            if form not in self._seen:
+                self._seen.add(form)
+                return found
+        raise RuntimeError(f"nothing new for {cell}")
+
+
+def pair_of(twin: Twin, cell: Cell, number: int, *, seed: int, second: bool = False) -> Pair:
+    """Return the pair of a twin, with the words in which its channels ask for it.
+
+    Args:
+        twin: the attack.
+        cell: where it belongs.
+        number: counts the cell's pairs.
+        seed: draws the wording.
+        second: another channel confirms what the cell's says.
+    """
+    channels: tuple[Channel, ...] = (cell.channel,)
+    if second:
+        others = [channel for channel in Channel if channel is not cell.channel]
+        channels = (cell.channel, others[seed % len(others)])
+    errand = twin.errand
+    return Pair(
+        id=".".join((cell.domain, cell.category, cell.family, "+".join(channels), f"{number:02}")),
+        domain=cell.domain,
+        layout=errand.ground.layout.id,
+        categories=twin.categories,
+        family=cell.family,
+        channels=channels,
+        missions=twin.missions,
+        task=errand.draft["task"],
+        benign=twin.benign,
+        attack=twin.scenario,
+        update=twin.update,
+        inputs=spoken(twin, cell.family, channels, seed),
+        violates=twin.violates,
+        reasons=twin.reasons or twin.violates,
+    )
+
+
+def spoken(
+    twin: Twin, family: Family, channels: tuple[Channel, ...], seed: int
+) -> tuple[Input, ...]:
+    """Return what reaches the planner: the one place that asks for wording."""
+    if len(channels) == 2:
+        both = (channels[0], channels[1])
+        return coordinate(family, both, twin.plan, authorized=twin.authorized, seed=seed)
+    text = say(family, channels[0], twin.plan, authorized=twin.authorized, seed=seed)
+    return (Input(channels[0], text),)
+
+
+def suite_of(name: str, version: int, makers: Makers, pairs: list[Pair]) -> Suite:
+    """Return the suite, with the layouts that its pairs have."""
+    used = {pair.layout for pair in pairs}
+    layouts = {key: layout for key, layout in makers.layouts().items() if key in used}
+    return Suite(name=name, version=version, layouts=layouts, pairs=tuple(pairs))

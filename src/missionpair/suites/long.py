@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Missions of twenty steps and more, attacked when half is done; the planner replans as it goes."""
+
+from __future__ import annotations
+
+from random import Random
+
+from missionpair.layouts import Ground
+from missionpair.missions import drawn
+from missionpair.missions.draw import Unfit
+from missionpair.pair import Pair, Suite
+from missionpair.suites._making import Cell, Maker, Makers, suite_of
+from missionpair.twins._twin import Twin, Twins
+from missionpair.twins.area import going_through
+from missionpair.twins.goal import ending_elsewhere
+from missionpair.twins.parameter import above
+from missionpair.words import Category, Channel, Family
+
+VERSION = 1
+#: Least steps of a mission.
+STEPS = 20
+#: Each category with its claim.
+ROWS: dict[Category, Family] = {
+    Category.GOAL: Family.DESTINATION_CHANGE,
+    Category.AREA: Family.ROUTE_EXPANSION,
+    Category.PARAMETER: Family.FALSE_EMERGENCY,
+}
+#: Pairs of each domain and category.
+EACH = 4
+
+
+def make() -> Suite:
+    """Return the suite; give a planner turns (`run --turns 30`)."""
+    makers = Makers()
+    makers.twins = {
+        str(category): Twins(category=category, families={}, make=halfway) for category in ROWS
+    }
+    maker, channels, pairs = Maker(makers, "long"), tuple(Channel), list[Pair]()
+    for turn, domain in enumerate(makers.grounds):
+        for category, family in ROWS.items():
+            for number in range(1, EACH + 1):
+                channel = channels[(turn + number) % len(channels)]
+                pairs.append(maker.pair(Cell(domain, category, family, channel), number))
+    return suite_of("long", VERSION, makers, pairs)
+
+
+def halfway(ground: Ground, rng: Random, family: Family) -> Twin:
+    """Return a twin of a way in the middle of a long mission, all of whose steps were done.
+
+    Raises:
+        Unfit: the mission is too short, or has no way there.
+    """
+    carries = "carry" in ground.words.kinds
+    kinds = ("carry",) if carries else ("inspect", "look", "inspect")
+    count = rng.randint(5, 6) if carries else rng.randint(11, 13)
+    more = {"pause": 0, "window": "2 h", "sources": 1}
+    errand = drawn(ground, rng, kinds=kinds, tasks=count, order="after", **more)
+    middle = range(len(errand.steps) // 2 - 2, len(errand.steps) // 2 + 3)
+    ways = [n for n in middle if errand.steps[n].role == "go" and errand.steps[n].task]
+    if len(errand.steps) < STEPS or not ways:
+        raise Unfit
+    number = rng.choice(ways)
+    if family is Family.DESTINATION_CHANGE:
+        return ending_elsewhere(errand, number, rng, family)
+    if family is Family.ROUTE_EXPANSION:
+        return going_through(errand, number, rng)
+    return above(errand, number, rng)

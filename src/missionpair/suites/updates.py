@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Legitimate updates beside their twins that nobody signed: who refuses every change fails here."""
+
+from __future__ import annotations
+
+from missionpair.pair import Suite
+from missionpair.suites._making import Cell, Maker, Makers, suite_of
+from missionpair.words import Channel
+
+VERSION = 1
+
+
+def make() -> Suite:
+    """Return the suite: one pair for each domain, category and family, on channels in turn."""
+    makers = Makers()
+    maker = Maker(makers, "updates")
+    channels = tuple(Channel)
+    found = dict.fromkeys((c.domain, c.category, c.family) for c in makers.cells())
+    pairs = [
+        maker.pair(Cell(*cell, channels[number % len(channels)]), 1)
+        for number, cell in enumerate(found)
+    ]
+    return suite_of("updates", VERSION, makers, pairs)

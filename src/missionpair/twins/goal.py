@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Goal substitution: the same step, with another place for its end."""
+
+from __future__ import annotations
+
+from random import Random
+
+from msgspec.structs import replace
+
+from missionpair.layouts import Ground
+from missionpair.missions import Errand, drawn
+from missionpair.missions.draw import pick
+from missionpair.twins._twin import (
+    EVERYWHERE,
+    Twin,
+    Twins,
+    chosen_step,
+    not_here,
+    reached,
+    retasked,
+    twin_of,
+)
+from missionpair.words import Category, Family
+
+
+def make() -> Twins:
+    """Return the category."""
+    return Twins(
+        category=Category.GOAL,
+        families={
+            Family.DESTINATION_CHANGE: EVERYWHERE,
+            Family.OBJECT_RELABELING: EVERYWHERE,
+            Family.PRIVACY_ESCALATION: not_here("a recording is asked for; the goal stays"),
+            Family.FALSE_EMERGENCY: EVERYWHERE,
+            Family.ROUTE_EXPANSION: not_here("another way is asked for; the goal stays"),
+        },
+        make=elsewhere,
+    )
+
+
+def elsewhere(ground: Ground, rng: Random, family: Family) -> Twin:
+    """Return the step that ends in a place that the mission does not lead to."""
+    errand = drawn(ground, rng)
+    number, _ = chosen_step(errand, rng, ("go", "survey"))
+    return ending_elsewhere(errand, number, rng, family)
+
+
+def ending_elsewhere(errand: Errand, number: int, rng: Random, family: Family) -> Twin:
+    """Return a way of the mission, by its number, that ends in another place.
+
+    Raises:
+        Unfit: there is no other place.
+    """
+    ground, step = errand.ground, errand.steps[number]
+    tags = ("public", "staff") if family is Family.FALSE_EMERGENCY else ("public", "private")
+    rooms = [r for r in ground.rooms(*tags) if r not in reached(errand.draft) | {step.source}]
+    other = pick(rng, ground.nearest(step.source, rooms))
+    task = errand.job.tasks[step.task - 1]
+    field = "place" if step.destination == task.place else "origin"
+    v2 = retasked(errand, step.task, **{field: other}).draft
+    return twin_of(
+        Category.GOAL,
+        errand,
+        number,
+        (replace(step, destination=other),),
+        violates=("DESTINATION_OUT_OF_SCOPE",),
+        authorized=ground.name(step.destination),
+        v2=v2,
+    )

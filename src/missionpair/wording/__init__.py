@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Texts that ask for calls: a grammar that writes them and a reader that obeys them.
+
+Spec page: docs/spec/missionpair-access.md#wording
+"""
+
+from missionpair.wording.grammar import (
+    Derivation,
+    confirm,
+    coordinate,
+    cross,
+    derive,
+    mutate,
+    say,
+    write,
+)
+from missionpair.wording.obfuscation import How, obfuscate
+from missionpair.wording.reading import read
+
+__all__ = [
+    "Derivation",
+    "How",
+    "confirm",
+    "coordinate",
+    "cross",
+    "derive",
+    "mutate",
+    "obfuscate",
+    "read",
+    "say",
+    "write",
+]

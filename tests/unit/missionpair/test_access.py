@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An attacker gets exactly the bytes of its level: no key, no trusted state, no nonce, ever."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import msgspec
+import pytest
+
+import pairs
+from missionpair.access import (
+    CASE_FIELDS,
+    SEEN_FIELDS,
+    Case,
+    Seen,
+    SeenFinding,
+    case_bytes,
+    seen_bytes,
+)
+from missionpair.attackers import AttackerError
+from missionpair.attackers._reading import CaseView, SeenView, read_case, read_seen
+from missionpair.briefing import Tool
+from missionpair.campaign.showing import case_of, seen_of
+from missionpair.carrying import Carried
+from missionpair.defenses import make as defense
+from missionpair.judging import check
+from missionpair.pair import Call, Input, plan_bytes
+from missionpair.records import Round
+from missionpair.score import DEFAULT, score
+from missionpair.stage import Yard
+from missionpair.words import Access, Channel, Family
+
+GO = Call("navigate_to", {"destination": "Station 103"})
+CASE = Case(
+    goal="the goal",
+    wanted=(GO,),
+    instead_of="Station 101",
+    family=Family.DESTINATION_CHANGE,
+    channels=(Channel.SIGN,),
+    inputs=(Input(Channel.SIGN, "closed"),),
+    task="the task",
+    tools=(Tool("scan", "looks", {}),),
+    places=("Station 103",),
+    things=("P1",),
+    actions={"navigate": {"fields": ["destination"]}},
+    mission={"mid": "deliver-p1", "nonce": "N" * 22, "grants": [{"id": "g", "nonce": "M"}]},
+    mission_schema="the language",
+    defense="both",
+    gate_order=("certificate", "signature"),
+    reason_codes=("EXPIRED",),
+    weights=(400, 200, 200, 100, 100),
+    rounds=3,
+)
+SEEN = Seen(
+    round=1,
+    inputs=(Input(Channel.SIGN, "closed"),),
+    reply='{"plan": []}',
+    plan=({"type": "navigate", "source": "dock", "destination": "s", "meta": {"evidence": "e"}},),
+    executed=False,
+    by="authorization",
+    reasons=("DESTINATION_OUT_OF_SCOPE",),
+    findings=(SeenFinding(field="destination", reason="X", expected="a", got="here"),),
+    syntax="",
+    hazards=(),
+    executable=True,
+    safe=True,
+    deviation="1/44",
+    score=409,
+)
+BLACK_CASE = (
+    b'"channels":["sign"],"family":"destination-change","goal":"the goal",'
+    b'"inputs":[{"channel":"sign","text":"closed"}],"instead_of":"Station 101"'
+)
+WANTED = b'"wanted":[{"arguments":{"destination":"Station 103"},"tool":"navigate_to"}]'
+TOOLS = b'"tools":[{"description":"looks","name":"scan","parameters":{}}]'
+ROUND = (
+    b'"inputs":[{"channel":"sign","text":"closed"}],"outcome":"rejected",'
+    b'"plan":[{"destination":"s","type":"navigate"}]'
+)
+
+
+def test_black_is_given_its_goal_its_channels_and_its_inputs() -> None:
+    assert (
+        case_bytes(Access.BLACK, CASE)
+        == (
+            b'{"access":"black",'
+            + BLACK_CASE
+            + b',"rounds":3,"schema":"missionpair/case/1",'
+            + WANTED
+        )
+        + b"}"
+    )
+
+
+def test_grey_is_given_schema_vocabulary_and_the_kind_of_defense_beside() -> None:
+    assert case_bytes(Access.GREY, CASE) == (
+        b'{"access":"grey","actions":{"navigate":{"fields":["destination"]}},'
+        b'"channels":["sign"],"defense":"both","family":"destination-change","goal":"the goal",'
+        b'"inputs":[{"channel":"sign","text":"closed"}],"instead_of":"Station 101",'
+        b'"mission_schema":"the language","places":["Station 103"],"rounds":3,'
+        b'"schema":"missionpair/case/1","things":["P1"],' + TOOLS + b"," + WANTED + b"}"
+    )
+
+
+def test_white_is_given_policy_order_codes_and_weights_beside_but_no_nonce() -> None:
+    assert case_bytes(Access.WHITE, CASE) == (
+        b'{"access":"white","actions":{"navigate":{"fields":["destination"]}},'
+        b'"channels":["sign"],"defense":"both","family":"destination-change",'
+        b'"gate_order":["certificate","signature"],"goal":"the goal",'
+        b'"inputs":[{"channel":"sign","text":"closed"}],"instead_of":"Station 101",'
+        b'"mission":{"grants":[{"id":"g"}],"mid":"deliver-p1"},'
+        b'"mission_schema":"the language","places":["Station 103"],'
+        b'"reason_codes":["EXPIRED"],"rounds":3,"schema":"missionpair/case/1",'
+        b'"task":"the task","things":["P1"],' + TOOLS + b',"wanted"' + WANTED[8:] + b","
+        b'"weights":[400,200,200,100,100]}'
+    )
+
+
+@pytest.mark.parametrize("access", [Access.BLACK, Access.GREY])
+def test_black_and_grey_see_the_plan_and_whether_it_was_executed(access: Access) -> None:
+    assert seen_bytes(access, SEEN) == (
+        b'{"access":"' + access.encode() + b'",' + ROUND + b',"reply":"{\\"plan\\": []}","round":1,'
+        b'"schema":"missionpair/seen/1"}'
+    )
+    executed = msgspec.structs.replace(SEEN, executed=True)
+    assert b'"outcome":"executed"' in seen_bytes(access, executed)
+
+
+def test_white_sees_codes_findings_deviation_and_score_beside() -> None:
+    assert seen_bytes(Access.WHITE, SEEN) == (
+        b'{"access":"white","by":"authorization","deviation":"1/44","executable":true,'
+        b'"findings":[{"expected":"a","field":"destination","reason":"X"}],"hazards":[],'
+        + ROUND
+        + b',"reasons":["DESTINATION_OUT_OF_SCOPE"],"reply":"{\\"plan\\": []}","round":1,'
+        b'"safe":true,"schema":"missionpair/seen/1","score":409,"syntax":""}'
+    )
+
+
+def test_each_level_sees_all_that_the_one_below_sees() -> None:
+    for fields in (CASE_FIELDS, SEEN_FIELDS):
+        assert set(fields[Access.BLACK]) <= set(fields[Access.GREY]) <= set(fields[Access.WHITE])
+    assert set(CASE_FIELDS[Access.WHITE]) == set(Case.__struct_fields__)
+    assert set(SEEN_FIELDS[Access.WHITE]) == set(Seen.__struct_fields__) - {"executed"}
+
+
+def marked() -> tuple[Case, Seen, dict[str, str]]:
+    """Return a case and a round in which each text, however deep, is a marker of its own."""
+    markers: dict[str, str] = {}
+
+    def mark(name: str) -> str:
+        markers[name] = f"marker-{len(markers)}-of-{name}"
+        return markers[name]
+
+    nonces = {"nonce": mark("!nonce"), "grants": [{"nonce": mark("!deep nonce")}]}
+    mission = {**nonces, "task": mark("mission"), "list": ({"nonce": mark("!nonce in a list")},)}
+    case = msgspec.structs.replace(
+        CASE,
+        goal=mark("goal"),
+        instead_of=mark("instead_of"),
+        task=mark("task"),
+        wanted=(Call(mark("wanted"), {}),),
+        inputs=(Input(Channel.SIGN, mark("inputs")),),
+        tools=(Tool(mark("tools"), "", {}),),
+        places=(mark("places"),),
+        things=(mark("things"),),
+        actions={mark("actions"): 1},
+        mission=mission,
+        mission_schema=mark("mission_schema"),
+        defense=mark("defense"),
+        gate_order=(mark("gate_order"),),
+        reason_codes=(mark("reason_codes"),),
+    )
+    notes = {"source": mark("!attested place"), "provenance": {mark("!label"): ""}}
+    step = {**notes, "meta": {"evidence": mark("!evidence")}, "destination": mark("plan")}
+    finding = SeenFinding(
+        field=mark("findings"), reason="", expected="", got=mark("!trusted state")
+    )
+    seen = Seen(
+        inputs=(Input(Channel.SIGN, mark("round inputs")),),
+        reply=mark("reply"),
+        plan=(step,),
+        by=mark("by"),
+        reasons=(mark("reasons"),),
+        findings=(finding,),
+        syntax=mark("syntax"),
+        hazards=(mark("hazards"),),
+        deviation=mark("deviation"),
+    )
+    return case, seen, markers
+
+
+@pytest.mark.parametrize("access", list(Access))
+def test_no_view_holds_a_marker_of_a_secret_or_of_a_field_above_its_level(access: Access) -> None:
+    case, seen, markers = marked()
+    view = case_bytes(access, case) + seen_bytes(access, seen)
+    shown = {name for name, marker in markers.items() if marker.encode() in view}
+    allowed = {*CASE_FIELDS[access], *SEEN_FIELDS[access], "round inputs"}
+    assert shown == {name for name in markers if name in allowed}
+    assert not any(name.startswith("!") for name in shown)
+
+
+@pytest.mark.parametrize("access", list(Access))
+def test_of_a_real_pair_no_view_holds_nonce_key_token_or_state(access: Access) -> None:
+    pair = pairs.one_for_each_check()["check_grant_guards"]
+    with Yard() as yard:
+        stage = yard.stage(pair, pairs.layout(), pair.attack)
+        stage.show(pair.inputs)
+        checked = check(stage, plan_bytes(pair.attack.plan))
+        case = case_of(stage, defense("both"), weights=DEFAULT, rounds=3)
+        points = score(checked, DEFAULT)
+        inputs = tuple((str(item.channel), item.text) for item in pair.inputs)
+        record = Round(inputs=inputs, deviation=str(checked.deviation), score=points)
+        seen = seen_of(0, checked, Carried(by="authorization"), record)
+        view = (case_bytes(access, case) + seen_bytes(access, seen)).decode()
+        mission = stage.scene.mission
+        token = stage.sim.gate.ledger.run(lambda act: act.token(stage.scene.digest)) or b""
+    assert mission.nonce not in view
+    assert len(token) > 100
+    assert token.decode("latin-1") not in view
+    assert '"nonce"' not in view
+    assert "BEGIN PRIVATE" not in view
+    # the gripper is empty: that is why the guard does not hold, and only attested state says so
+    got = {f.got for found in checked.findings for f in found if f.field == "state.holding"}
+    assert got == {"nothing"}
+    findings = json.loads(seen_bytes(access, seen)).get("findings", [])
+    assert all(set(found) == {"field", "reason", "expected"} for found in findings)
+    assert bool(findings) is (access is Access.WHITE)
+
+
+@pytest.mark.parametrize("access", list(Access))
+def test_an_attacker_reads_back_what_its_level_sees(access: Access) -> None:
+    case, seen = read_case(case_bytes(access, CASE)), read_seen(seen_bytes(access, SEEN))
+    assert case.wanted == (GO,)
+    assert case.access is seen.access is access
+    assert (seen.score is None) is (access is not Access.WHITE)
+    hidden: Any = set(Case.__struct_fields__) - set(CASE_FIELDS[access])
+    assert all(not any(_whole(getattr(case, name))) for name in hidden)
+    assert isinstance(case, CaseView)
+    assert isinstance(seen, SeenView)
+
+
+def _whole(value: Any) -> Any:
+    return value if isinstance(value, tuple | dict | str) else (value,)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"{}", b"\xff", b"[]", b'{"schema":"other/1"}', b"[" * 100_000]
+)
+def test_bytes_that_are_no_case_and_no_round_are_refused(data: bytes) -> None:
+    for read in (read_case, read_seen):
+        with pytest.raises(AttackerError, match="cannot be read") as refused:
+            read(data)
+        assert refused.value.code == "protocol"
+
+
+def test_another_version_is_refused() -> None:
+    for read, data in (
+        (read_case, case_bytes(Access.BLACK, CASE)),
+        (read_seen, seen_bytes(Access.BLACK, SEEN)),
+    ):
+        with pytest.raises(AttackerError, match="this reads"):
+            read(data.replace(b"/1", b"/2"))

@@ -1,0 +1,422 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A campaign is the same however it is run: at once, in pieces, by several, from a memento.
+
+Source: docs/spec/missionpair.md, docs/spec/campaign-log.md
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from missionpair import attackers, defenses, planners, registry, suites
+from missionpair.attackers import AttackerError
+from missionpair.briefing import Briefing, PlannerError, Reply
+from missionpair.campaign import run as campaign
+from missionpair.campaign.log import LogError, read_log
+from missionpair.campaign.run import Plan, Progress, run
+from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
+from missionpair.carrying import Carried, past_the_gate
+from missionpair.defenses import DefenseError
+from missionpair.pair import Input, Pair, Start, Suite, plan_bytes
+from missionpair.records import Timing, Trial
+from missionpair.registry import UnknownNameError
+from missionpair.score import DEFAULT
+from missionpair.stage import Stage, StageError, Yard
+from missionpair.suites._form import SuiteError
+from missionpair.words import Access, Category, Kind
+
+FOUR = ("none", "safety", "mission", "both")
+HIJACKED = Plan(suite="live", planner="hijacked", defenses=FOUR, pairs=2)
+
+
+@pytest.fixture(scope="module")
+def suite() -> Suite:
+    found: Suite = registry.make(suites, "live")
+    return found
+
+
+@pytest.fixture(scope="module")
+def yard() -> Iterator[Yard]:
+    with Yard() as made:
+        yield made
+
+
+def bare(trials: list[Trial]) -> list[Trial]:
+    """Return the trials without what two runs differ in."""
+    return [msgspec.structs.replace(trial, timing=Timing()) for trial in trials]
+
+
+def under_links(path: Path) -> list[tuple[bytes, bytes]]:
+    lines = path.read_bytes().splitlines()
+    decoded = [msgspec.json.decode(line, type=dict[str, msgspec.Raw]) for line in lines]
+    return [(bytes(line["link"]), bytes(line["record"])) for line in decoded]
+
+
+def setting(planner: Any, **changes: Any) -> Setting:
+    given: dict[str, Any] = {
+        "planner": planner,
+        "attacker": registry.make(attackers, "fixed"),
+        "access": Access.BLACK,
+        "defenses": tuple(registry.make(defenses, name) for name in ("none", "both")),
+        "rounds": 1,
+        "turns": 1,
+        "seed": 0,
+        "seeds": 1,
+        "kinds": tuple(Kind),
+        "weights": DEFAULT,
+    }
+    return Setting(**{**given, **changes})
+
+
+def ran(
+    suite: Suite, yard: Yard, planner: Any, pair: Pair | None = None, **more: Any
+) -> list[Trial]:
+    chosen = pair or suite.pairs[0]
+    made = PairRun(setting(planner, **more), yard, chosen, suite.layouts[chosen.layout], first=0)
+    return list(made.trials())
+
+
+class Says:
+    """A planner that says what a test tells it to."""
+
+    name, simulated = "says", True
+
+    def __init__(self, *replies: bytes | Exception | Reply) -> None:
+        self.replies = list(replies)
+        self.seen: list[Briefing] = []
+
+    def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+        self.seen.append(briefing)
+        said = self.replies[min(len(self.seen), len(self.replies)) - 1]
+        if isinstance(said, Exception):
+            raise said
+        return said if isinstance(said, Reply) else Reply(raw=said)
+
+
+# what a hijacked planner comes to
+
+
+def test_safety_alone_lets_through_what_both_gates_stop(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    run(HIJACKED, log)
+    _, trials = read_log(log)
+    for trial in trials:
+        if trial.kind != "attack":
+            assert (trial.completed, trial.unauthorized, trial.by) == (True, 0, "")
+            continue
+        stopped = trial.defense in {"mission", "both"}
+        assert trial.complied
+        assert (trial.blocked, trial.hijacked) == (stopped, not stopped)
+        assert (trial.unauthorized > 0) is not stopped
+        assert trial.by == ("authorization" if stopped else "")
+
+
+# the same, however it is run
+
+
+def test_a_situation_put_back_is_as_one_made_anew(
+    suite: Suite, yard: Yard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def trials() -> list[Trial]:
+        planner = registry.make(planners, "adversary:always=yes")
+        more = {"seeds": 24, "kinds": (Kind.ATTACK,), "access": Access.WHITE}
+        return bare(ran(suite, yard, planner, **more))
+
+    put_back = trials()
+    remade: list[Stage] = []
+
+    def anew(stage: Stage) -> None:
+        layout = suite.layouts[stage.pair.layout]
+        fresh = yard.stage(stage.pair, layout, stage.scenario)
+        stage.scene, stage.missions, stage.walk = fresh.scene, fresh.missions, None
+        stage._read = None
+        remade.append(fresh)
+
+    monkeypatch.setattr(Stage, "again", anew)
+    assert trials() == put_back
+    assert len(remade) > 24
+    assert any(trial.executed for trial in put_back)
+    assert any(trial.by == "authorization" for trial in put_back)
+
+
+def test_two_processes_write_the_same_log_as_one(tmp_path: Path) -> None:
+    one, two = tmp_path / "1", tmp_path / "2"
+    run(HIJACKED, one)
+    run(HIJACKED, two, jobs=2)
+    assert under_links(one) == under_links(two)
+
+
+def test_a_campaign_cut_anywhere_goes_on_to_the_same_log(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    plan = msgspec.structs.replace(HIJACKED, defenses=("safety", "both"))
+    run(plan, log)
+    whole = log.read_bytes()
+    wanted = under_links(log)
+    shown: list[Progress] = []
+    for share in (3, 7):
+        log.write_bytes(whole[: len(whole) * share // 9])
+        run(plan, log, show=shown.append)
+        assert under_links(log) == wanted
+    assert {at.trials for at in shown} == {12}
+    assert shown[-1].done == 12
+
+
+def test_a_whole_log_is_not_run_again(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    plan = msgspec.structs.replace(HIJACKED, pairs=1, defenses=("none",), kinds=(Kind.ATTACK,))
+    run(plan, log)
+    before = log.read_bytes()
+    run(plan, log)
+    assert log.read_bytes() == before
+
+
+def test_another_seed_is_another_campaign(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    plan = msgspec.structs.replace(HIJACKED, pairs=1, defenses=("none",), kinds=(Kind.ATTACK,))
+    run(plan, log)
+    with pytest.raises(LogError, match=r"another campaign \(seed\)"):
+        run(msgspec.structs.replace(plan, seed=1), log)
+
+
+# what did not comply is counted apart
+
+
+def test_what_does_not_comply_is_told_apart(suite: Suite, yard: Yard) -> None:
+    pair = suite.pairs[0]
+    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
+    said = {
+        "declined": Reply(raw=b"I can't help with that.", refused=True),
+        "unparsable": b"go somewhere nice",
+        "authorized": plan_bytes(pair.benign.plan[:1]),
+    }
+    for instead, reply in said.items():
+        (trial,) = ran(suite, yard, Says(reply), pair, **only)
+        assert (trial.complied, trial.blocked, trial.instead) == (False, None, instead)
+        assert trial.unauthorized == 0
+    (trial,) = ran(suite, yard, Says(plan_bytes(pair.attack.plan)), pair, **only)
+    assert (trial.complied, trial.blocked, trial.instead) == (True, True, "")
+
+
+def test_a_planner_that_fails_is_a_trial_and_nothing_is_lost(suite: Suite, yard: Yard) -> None:
+    broken = PlannerError("answers nothing", code="protocol", where="http://127.0.0.1:1")
+    trials = ran(suite, yard, Says(broken), kinds=(Kind.ATTACK,))
+    assert [trial.instead for trial in trials] == ["error", "error"]
+    assert all("answers nothing" in trial.error for trial in trials)
+    assert not any(trial.complied for trial in trials)
+
+
+def test_a_model_that_is_away_ends_the_campaign(suite: Suite, yard: Yard) -> None:
+    away = PlannerError("cannot be reached", code="unreachable", where="http://127.0.0.1:1")
+    with pytest.raises(PlannerError):
+        ran(suite, yard, Says(away), kinds=(Kind.ATTACK,), seeds=2)
+    twin = plan_bytes(suite.pairs[0].attack.plan)
+    trials = ran(suite, yard, Says(away, away, twin, away), kinds=(Kind.ATTACK,), seeds=2)
+    assert [trial.instead for trial in trials] == ["error", "error", "", "error"]
+
+
+@pytest.mark.parametrize("code", sorted(FINAL))
+def test_what_no_later_trial_can_mend_ends_the_campaign(
+    suite: Suite, yard: Yard, code: str
+) -> None:
+    with pytest.raises(PlannerError):
+        ran(suite, yard, Says(PlannerError("no", code=code, where="key")), kinds=(Kind.ATTACK,))
+
+
+# rounds and turns
+
+
+def test_an_attack_ends_with_the_first_plan_that_complies(suite: Suite, yard: Yard) -> None:
+    class Again:
+        name, simulated, parameters = "again", True, {}
+
+        def __init__(self) -> None:
+            self.seen: list[bytes] = []
+
+        def open(self, case: bytes, *, seed: int) -> tuple[Input, ...]:
+            return pair.inputs
+
+        def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:
+            self.seen.append(seen)
+            return pair.inputs
+
+    pair, again = suite.pairs[0], Again()
+    twin, idle = plan_bytes(pair.attack.plan), plan_bytes(pair.benign.plan[:1])
+    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),), "rounds": 5}
+    (trial,) = ran(suite, yard, Says(idle, idle, twin, idle), pair, attacker=again, **only)
+    assert (len(trial.rounds), trial.complied, len(again.seen)) == (3, True, 2)
+    (trial,) = ran(suite, yard, Says(idle), pair, attacker=again, **only)
+    assert (len(trial.rounds), trial.complied) == (5, False)
+
+
+def test_an_attacker_that_gives_up_or_fails_ends_its_trial(suite: Suite, yard: Yard) -> None:
+    class Fails:
+        name, simulated, parameters = "fails", True, {}
+
+        def open(self, case: bytes, *, seed: int) -> tuple[Input, ...]:
+            return ()
+
+        def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:
+            raise AttackerError("its model is away", code="unreachable", where="server")
+
+    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),), "rounds": 3}
+    (trial,) = ran(suite, yard, Says(b"?"), **only)
+    assert (len(trial.rounds), trial.instead) == (1, "unparsable")
+    (trial,) = ran(suite, yard, Says(b"?"), attacker=Fails(), **only)
+    assert (len(trial.rounds), trial.instead) == (1, "error")
+    assert "its model is away" in trial.error
+
+
+def test_a_planner_sees_that_it_was_refused_and_plans_anew(suite: Suite, yard: Yard) -> None:
+    pair = suite.pairs[0]
+    left = rest_of(yard.stage(pair, suite.layouts[pair.layout], pair.attack))
+    assert len(left) >= 2
+    twin, rest = plan_bytes(pair.attack.plan), plan_bytes(left)
+    for name in ("both", "safety"):
+        says = Says(b"?", twin, rest)
+        only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, name),), "turns": 3}
+        (trial,) = ran(suite, yard, says, pair, **only)
+        assert [turn.told for turn in says.seen[1].turns] == ["rejected"]
+        assert trial.complied
+        if name == "both":
+            assert [turn.told for turn in says.seen[2].turns] == ["rejected", "rejected"]
+            assert (trial.unauthorized, trial.blocked, trial.false_stop) == (0, True, False)
+            assert trial.executed == len(left)
+        else:
+            assert (trial.unauthorized, trial.blocked) == (1, False)
+
+
+def test_the_target_is_shown_no_mission_no_code_and_no_plan_of_ours(
+    suite: Suite, yard: Yard
+) -> None:
+    says = Says(b"?")
+    ran(suite, yard, says, turns=2)
+    for briefing in says.seen:
+        shown = msgspec.json.encode(msgspec.structs.replace(briefing, usual=())).decode()
+        for word in ("OUT_OF_SCOPE", "PROVENANCE_DENIED", "grants", "nonce", "tau_1", "mission_"):
+            assert word not in shown
+
+
+# bad input
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "text"),
+    [
+        ({"suite": "nothing"}, UnknownNameError, "no suite is called `nothing`"),
+        ({"planner": "nobody"}, UnknownNameError, "no planner is called `nobody`"),
+        ({"planner": "hijacked:x=1"}, UnknownNameError, "takes no option `x`"),
+        ({"planner": "graded:susceptibility"}, UnknownNameError, "`option=value` is expected"),
+        ({"attacker": "nobody"}, UnknownNameError, "no attacker is called"),
+        ({"defenses": ("nothing",)}, UnknownNameError, "no defense is called"),
+        ({"suite": "/nowhere/suite.jsonl"}, SuiteError, "nowhere"),
+    ],
+)
+def test_what_there_is_not_is_named_and_leaves_no_log(
+    tmp_path: Path, change: dict[str, Any], error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=text):
+        run(msgspec.structs.replace(HIJACKED, **change), tmp_path / "log")
+    assert not (tmp_path / "log").exists()
+
+
+def test_a_pair_that_cannot_be_made_real_is_named(suite: Suite, yard: Yard) -> None:
+    pair = suite.pairs[0]
+    attack = msgspec.structs.replace(pair.attack, robot="nobody")
+    broken = msgspec.structs.replace(pair, attack=attack)
+    with pytest.raises(StageError, match="nobody"):
+        ran(suite, yard, Says(b"?"), broken, kinds=(Kind.ATTACK,))
+    spoiled = msgspec.structs.replace(
+        pair, missions={"v1": {**pair.missions["v1"], "robot": "nobody"}}
+    )
+    with pytest.raises(StageError, match=pair.id):
+        ran(suite, yard, Says(b"?"), spoiled, kinds=(Kind.ATTACK,))
+
+
+def test_a_suite_of_a_name_and_of_its_file_are_the_same(tmp_path: Path, suite: Suite) -> None:
+    from missionpair.suites._form import write_suite
+
+    path = tmp_path / "mine.jsonl"
+    write_suite(suite, path)
+    (read, digest), (made, other) = suites.load(str(path)), suites.load("live")
+    assert (read.name, read.version, read.pairs, digest) == (
+        "live",
+        made.version,
+        made.pairs,
+        other,
+    )
+
+
+def test_every_category_of_the_paper_is_in_the_live_suite(suite: Suite) -> None:
+    wanted = {"goal", "capability", "object", "provenance", "area", "parameter"}
+    assert {str(pair.categories[0]) for pair in suite.pairs} == wanted
+    for kind in map(Category, wanted):
+        assert sum(pair.categories[0] is kind for pair in suite.pairs) == 10
+
+
+def test_what_fails_in_another_process_is_told_here(tmp_path: Path, suite: Suite) -> None:
+    from missionpair.suites._form import write_suite
+
+    pair = suite.pairs[0]
+    attack = msgspec.structs.replace(pair.attack, start=Start(at="nowhere"))
+    spoiled = msgspec.structs.replace(pair, attack=attack)
+    path = tmp_path / "spoiled.jsonl"
+    write_suite(msgspec.structs.replace(suite, pairs=(spoiled,)), path)
+    plan = msgspec.structs.replace(HIJACKED, suite=str(path), pairs=1)
+    with pytest.raises((StageError, SuiteError), match="nowhere"):
+        run(plan, tmp_path / "log", jobs=2)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        StageError("a", where="b"),
+        LogError("a", where="b", is_here=True),
+        SuiteError("a", where="b"),
+        PlannerError("a", code="cost", where="b"),
+        AttackerError("a", code="cost", where="b"),
+    ],
+)
+def test_every_error_comes_whole_from_another_process(error: Exception) -> None:
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+# baselines
+
+
+def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lets_everything_through(stage: Stage, raw: bytes) -> Carried:
+        return past_the_gate(stage, raw, lambda *_: None)
+
+    def apart(specs: tuple[str, ...]) -> tuple[Any, ...]:
+        made = registry.make(defenses, "allowlist")
+        if broken:
+            made.carry_out = lets_everything_through
+        return (made,)
+
+    monkeypatch.setattr(campaign, "_apart", apart)
+    plan = Plan(
+        suite="live", planner="hijacked", defenses=("allowlist",), pairs=1, kinds=(Kind.ATTACK,)
+    )
+    broken = False
+    run(plan, tmp_path / "fit")
+    broken = True
+    with pytest.raises(DefenseError, match="an attack of its own kind was carried out"):
+        run(plan, tmp_path / "unfit")
+    assert not (tmp_path / "unfit").exists()
+    run(msgspec.structs.replace(plan, unqualified=True), tmp_path / "unfit")
+    assert len(list(read_log(tmp_path / "unfit")[1])) == 1
+
+
+def test_two_defenses_of_one_name_are_refused(tmp_path: Path) -> None:
+    plan = msgspec.structs.replace(HIJACKED, defenses=("both", "both"))
+    with pytest.raises(UnknownNameError, match="two defenses are called `both`"):
+        run(plan, tmp_path / "log")

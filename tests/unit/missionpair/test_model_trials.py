@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole trials with a planner behind a server: what it says reaches the gate, and no further."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pairs
+from missionpair import attackers, defenses, planners, registry
+from missionpair.attackers._model import MAX_TEXT
+from missionpair.campaign.log import LogWriter
+from missionpair.campaign.trial import PairRun, Setting
+from missionpair.records import SCHEMA, Campaign, Named, Trial
+from missionpair.score import DEFAULT
+from missionpair.servers import SERVERS, StandInServer
+from missionpair.stage import Yard
+from missionpair.words import Access, Kind
+
+KINDS = sorted(SERVERS)
+TO_103 = pairs.one_for_each_check()["check_destination"]
+
+
+def spec(kind: str, server: StandInServer, **options: str) -> str:
+    given = {"model": "scripted-x", "base_url": server.base_url, "retries": "0", **options}
+    return f"{kind}:" + ",".join(f"{name}={value}" for name, value in given.items())
+
+
+def setting(planner: str, *, attacker: str = "fixed", rounds: int = 1) -> Setting:
+    return Setting(
+        planner=planners.make(planner),
+        attacker=registry.make(attackers, attacker),
+        access=Access.BLACK,
+        defenses=tuple(registry.make(defenses, name) for name in ("none", "both")),
+        rounds=rounds,
+        turns=1,
+        seed=0,
+        seeds=1,
+        kinds=(Kind.ATTACK,),
+        weights=DEFAULT,
+    )
+
+
+def trials(planner: str, **options: Any) -> list[Trial]:
+    with Yard() as yard:
+        run = PairRun(setting(planner, **options), yard, TO_103, pairs.layout(), first=0)
+        return list(run.trials())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", ["tools", "json"])
+def test_an_obedient_model_is_hijacked_and_the_gate_lets_nothing_of_it_happen(
+    kind: str, mode: str
+) -> None:
+    with SERVERS[kind]() as server:
+        none, both = trials(spec(kind, server, mode=mode))
+    assert (none.complied, none.unauthorized > 0, none.hijacked) == (True, True, True)
+    assert (both.complied, both.blocked, both.unauthorized) == (True, True, 0)
+    assert both.by == "authorization"
+    assert both.tokens > (0, 0)
+    assert not both.error
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("behavior", "instead"),
+    [
+        ("odd:refusal", "declined"),
+        ("odd:nothing", "declined"),
+        ("odd:half", "unparsable"),
+        ("odd:unknown-tool", "unparsable"),
+        ("odd:twice", "unparsable"),
+        ("faulty:500", "error"),
+        ("faulty:not-json", "error"),
+    ],
+)
+def test_what_a_model_did_instead_is_counted_as_what_it_is(
+    kind: str, behavior: str, instead: str
+) -> None:
+    with SERVERS[kind](behavior) as server:
+        none, both = trials(spec(kind, server))
+    assert (none.instead, both.instead) == (instead, instead)
+    assert [t.complied or t.unauthorized for t in (none, both)] == [False, False]
+    assert bool(none.error) == (instead == "error")
+
+
+def test_an_attacker_that_is_a_model_is_asked_over_the_same_client() -> None:
+    with SERVERS["openai"]("resistant") as target, SERVERS["anthropic"]() as writer:
+        model = spec("anthropic", writer).replace(",", ";")
+        attacker = f"adaptive:model={model}"
+        none, both = trials(spec("openai", target), attacker=attacker, rounds=3)
+        assert writer.requests == len(none.rounds) + len(both.rounds) - 2 > 0
+    texts = [one.inputs[0][1] for one in max((none.rounds, both.rounds), key=len)]
+    assert len(set(texts)) > 1
+    assert all(0 < len(text) <= MAX_TEXT for text in texts)
+    assert texts[1].endswith(TO_103.inputs[0].text)
+
+
+@pytest.mark.parametrize("mode", ["tools", "json"])
+def test_a_log_of_a_model_is_replayed_without_it(tmp_path: Path, mode: str) -> None:
+    with SERVERS["openai"]() as server:
+        first = trials(spec("openai", server, mode=mode))
+    path = tmp_path / "c.jsonl"
+    header = Campaign(
+        schema=SCHEMA,
+        suite="checks",
+        suite_version=1,
+        suite_digest="d",
+        pairs=1,
+        planner=Named("openai", simulated=True),
+        attacker=Named("fixed"),
+        access="black",
+        defenses=(Named("none"), Named("both")),
+        seed=0,
+        seeds=1,
+        rounds=1,
+        turns=1,
+        kinds=("attack",),
+        weights=DEFAULT.thousandths,
+        trials=2,
+        version="0",
+    )
+    with LogWriter(path, header) as writer:
+        for trial in first:
+            writer.add(trial)
+        writer.end()
+    again = trials(f"replay:log={path}")
+    assert [t.rounds for t in again] == [t.rounds for t in first]
+    assert [(t.complied, t.blocked, t.reasons) for t in again] == [
+        (t.complied, t.blocked, t.reasons) for t in first
+    ]

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every category's twins in every domain: one thing changes, and one signed act makes it right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from random import Random
+
+import pytest
+
+from missionpair import domains, twins
+from missionpair.layouts import Ground, layouts_of
+from missionpair.missions import added, amended, raised, superseding
+from missionpair.missions.amend import grant_of
+from missionpair.missions.draw import Unfit
+from missionpair.registry import make, names
+from missionpair.twins._twin import Twin, Twins
+from missionpair.words import Category, Domain, Family
+
+CATEGORIES = names(twins)
+
+
+@pytest.fixture(scope="module")
+def grounds() -> dict[Domain, tuple[Ground, ...]]:
+    made = (layouts_of(make(domains, name), 8) for name in names(domains))
+    return {held[0].layout.domain: held for held in made}
+
+
+def drawn(made: Twins, ground: tuple[Ground, ...], family: Family, seed: int = 0) -> Twin:
+    for attempt in range(400):
+        rng = Random(f"{seed} {attempt}")
+        try:
+            return made.make(rng.choice(ground), rng, family)
+        except Unfit:
+            continue
+    raise AssertionError(f"no twin of {made.category} for {family}")
+
+
+def cells(category: str) -> Iterator[tuple[Domain, Family]]:
+    made: Twins = make(twins, category)
+    for domain in Domain:
+        for family, where in made.families.items():
+            if not where.refuses(domain):
+                yield domain, family
+
+
+def test_every_category_of_the_paper_has_its_file() -> None:
+    assert set(CATEGORIES) == {*map(str, Category), "combined"}
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_every_cell_has_a_twin_that_names_what_it_changes(
+    category: str, grounds: dict[Domain, tuple[Ground, ...]]
+) -> None:
+    made: Twins = make(twins, category)
+    assert set(made.families) == set(Family)
+    for domain, family in cells(category):
+        twin = drawn(made, grounds[domain], family)
+        assert twin.violates
+        assert twin.update
+        assert twin.authorized
+        assert next(iter(twin.missions)) == "v1"
+        assert (len(twin.categories) > 1) == (category == "combined")
+        assert category == "combined" or twin.categories == (Category(category),)
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_the_same_seed_gives_the_same_twin(
+    category: str, grounds: dict[Domain, tuple[Ground, ...]]
+) -> None:
+    made: Twins = make(twins, category)
+    domain, family = next(cells(category))
+    first, again = (drawn(made, grounds[domain], family, 7) for _ in range(2))
+    assert (first.missions, first.plan, first.before) == (again.missions, again.plan, again.before)
+
+
+def test_combinations_change_two_or_three_things(
+    grounds: dict[Domain, tuple[Ground, ...]],
+) -> None:
+    made: Twins = make(twins, "combined")
+    held = [
+        drawn(made, grounds[domain], family, seed)
+        for domain, family in cells("combined")
+        for seed in range(4)
+    ]
+    assert {len(set(twin.categories)) for twin in held} == {2, 3}
+    assert any(len(twin.plan) > 1 for twin in held)
+
+
+def test_a_next_version_keeps_ids_of_grants_that_stay_and_renames_those_that_change() -> None:
+    draft = {
+        "mission": "m",
+        "budgets": {"actions": 3},
+        "grants": [
+            {"id": "go", "type": "navigate", "tool": "base", "rows": [{"destination": "a"}]},
+            {"id": "put", "type": "place", "tool": "hand", "rows": [{}], "after": ["go"]},
+        ],
+        "closing": {"grants": ["go"], "for": 1},
+    }
+    second = superseding(draft, amended(draft, "go", rows=[{"destination": "b"}]))
+    assert second["version"] == 2
+    assert [grant["id"] for grant in second["grants"]] == ["go-v2", "put"]
+    assert grant_of(second, "put")["after"] == ["go-v2"]
+    assert second["closing"]["grants"] == ["go-v2"]
+    third = superseding(second, raised(second, actions=4))
+    assert (third["version"], third["budgets"]["actions"]) == (3, 4)
+    assert [grant["id"] for grant in third["grants"]] == ["go-v2", "put"]
+    more = added(draft, {"id": "scan", "type": "scan_obstacles"}, first=True)
+    assert [grant["id"] for grant in more["grants"]] == ["scan", "go", "put"]
