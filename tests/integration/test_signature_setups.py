@@ -19,6 +19,7 @@ import pytest
 
 import deliveries
 import worlds
+from authguard_r import safety
 from authguard_r.approvals import Selection, open_approval, open_selection
 from authguard_r.assembly import Simulation, demo_members, folder_signer, sign_terminal, simulate
 from authguard_r.audit.record import Terminal, read_record
@@ -40,7 +41,6 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, init_folder
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.safety import config as safety
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.signed import read_signed_site, sign_site
 from authguard_r.templates import open_template
