@@ -153,7 +153,8 @@ def test_without_its_witnesses_a_gate_goes_on_and_what_has_no_undo_waits(
     gate.seen()
     one.stop()
     gate.activate(gate.token(irreversible(gate)))
-    assert gate.step()["released"]  # both have confirmed since the start
+    step = gate.step()
+    assert step["released"], step  # both have confirmed since the start
     gate.restart()
     assert gate.anchor["state"] == "uncounted"
     assert (gate.told["confirmed"], two.size > 0) == (1, True)

@@ -44,7 +44,7 @@ from authguard_r.gate.lock import ANSWER_S, Lock, hold_robot, root_fingerprint
 from authguard_r.gate.reader import Reader
 from authguard_r.gate.recovery import Recovery
 from authguard_r.gate.roads import open_road
-from authguard_r.gate.service import LOOK_S, Service
+from authguard_r.gate.service import Service
 from authguard_r.gate.streams import Streams
 from authguard_r.gate.vigil import notary_policy, rotation_policy
 from authguard_r.keys.signer import FileSigner
@@ -299,19 +299,28 @@ def _advance(parts: Parts) -> Callable[[bool], None] | None:
     robot = parts.simulated
     if robot is None:
         return None
-    _pass_time(robot, moving=False)  # what the start has taken
-    return partial(_pass_time, robot)
+    pace = _Pace(robot)
+    pace(moving=False)  # what the start has taken
+    return pace
 
 
-def _pass_time(robot: SymbolicRobot, moving: bool) -> None:  # noqa: FBT001 - one of two paces
-    """Let simulated time pass: as far as a look at what moves, else to where all clocks are.
+class _Pace:
+    """How simulated time passes: a look at a time while something moves, else as all clocks go.
 
-    A mission that begins now by its author's clock is not to wait for a simulation that lost time.
+    A mission that begins now by its author's clock is not to wait for a simulation that lost time;
+    one that is ahead, for it has moved, goes on as fast as time does, however often it is asked.
     """
-    behind_ms = min(SystemClock().wall_ms() - robot.wall_ms(), CATCH_UP_MS)
-    standing_ms = behind_ms if behind_ms > 0 else round(LOOK_S * 1_000)
-    robot.pause(WATCH_MS if moving else standing_ms)
-    del robot.trace[:-1]  # a process lives long
+
+    def __init__(self, robot: SymbolicRobot) -> None:
+        self._robot, self._clock = robot, SystemClock()
+        self._asked_ms = self._clock.mono_ms()
+
+    def __call__(self, moving: bool) -> None:  # noqa: FBT001 - one of two paces
+        robot, now_ms = self._robot, self._clock.mono_ms()
+        passed_ms, self._asked_ms = now_ms - self._asked_ms, now_ms
+        behind_ms = min(self._clock.wall_ms() - robot.wall_ms(), CATCH_UP_MS)
+        robot.pause(WATCH_MS if moving else max(behind_ms, passed_ms))
+        del robot.trace[:-1]  # a process lives long
 
 
 def _free_bytes(folder: Path) -> int:

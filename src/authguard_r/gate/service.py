@@ -185,14 +185,13 @@ class Service:
 
     def welcome(self, hello: Hello) -> Welcome:
         """Return the answer to a hello, with the proof that its nonce asks for."""
-        robot = self._config.robot
         proof = None
         if hello.nonce is not None:
-            said = Proof(robot=robot, role=hello.role, nonce=hello.nonce)
+            said = Proof(robot=self._config.robot, role=hello.role, nonce=hello.nonce)
             proof = sign_object(said, Tag.HANDSHAKE, self._signer).decode("ascii")
         return Welcome(
             protocol=PROTOCOL,
-            robot=robot,
+            robot=self._config.robot,
             mode=self._config.mode,
             role=hello.role,
             client=hello.client,
@@ -231,8 +230,7 @@ class Service:
         """Let a connection go; a controller that goes is looked at at once."""
         self._sessions.discard(session)
         self._users[session.uid] -= 1
-        if self._users[session.uid] <= 0:
-            del self._users[session.uid]
+        self._users = +self._users  # who has none is forgotten
         if client is None or client not in self._clients:
             return
         self._clients.discard(client)
@@ -258,6 +256,8 @@ class Service:
     def _turn(self) -> None:
         """Serve one urgent request and one other, then let the loop read."""
         self._turning = False
+        if self._advance is not None and not self.motions:
+            self._advance(bool(self.motions))  # asked of now, not of the last look
         for client, item in self._ring.take():
             try:
                 if isinstance(item, Frame):

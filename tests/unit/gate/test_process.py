@@ -28,7 +28,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.token import sign_object
 from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.gate.lock import hold_robot, root_fingerprint
-from authguard_r.gate.process import SOCKET, Parts, Rendezvous, run_gate
+from authguard_r.gate.process import SOCKET, Parts, Rendezvous, _Pace, run_gate
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config as default_safety
 from authguard_r.sim.robot import SymbolicRobot
@@ -127,6 +127,33 @@ def activate(told: Rendezvous) -> dict[str, Any]:
 def records(made: Parts, kind: str) -> list[Any]:
     rows = [read_record(row.record, where="log") for row in read_rows(made.store)]
     return [record for record in rows if record.kind == kind]
+
+
+def test_what_is_asked_of_a_simulation_is_asked_of_now(
+    files: LaneFiles, journal: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mission that begins now by its author's clock has begun, whenever anybody looked last."""
+    monkeypatch.setattr("authguard_r.gate.service.LOOK_S", 10 * PATIENCE_S)
+    made = parts(files, journal, simulated=robot())
+
+    def work(told: Rendezvous) -> None:
+        time.sleep(1.0)  # into a second in which nobody has looked
+        activate(told)
+        with client(told, ClientRole.PLANNER) as planner:
+            assert planner.propose(SCAN)["steps"][0]["released"]
+
+    served(made, work)
+
+
+def test_a_simulation_that_is_ahead_goes_on_as_time_does() -> None:
+    ahead = robot()
+    ahead.pause(60_000)
+    pace, began = _Pace(ahead), time.monotonic()
+    before_ms = ahead.wall_ms()
+    for _ in range(1_000):
+        pace(moving=False)
+    passed_ms = (time.monotonic() - began) * 1_000
+    assert ahead.wall_ms() - before_ms <= passed_ms + 1
 
 
 def test_a_gate_says_where_it_is_and_leaves_nothing_behind(files: LaneFiles, journal: int) -> None:
