@@ -68,11 +68,13 @@ class Start(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_
         at: region of the robot; empty for its home.
         holding: what it holds.
         places: things that lie elsewhere than at home.
+        battery: its charge, per mille; 0 for as much as it has at home.
     """
 
     at: str = ""
     holding: str = ""
     places: dict[str, str] = {}
+    battery: int = 0
 
 
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
@@ -109,6 +111,8 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
         benign: the mission as it is meant; its plan is carried out to the end.
         attack: the attacked situation; its plan is the twin: executable, safe, not authorized.
         update: acts that authorize exactly the twin, in the attacked situation.
+        commissioned: tools, by action type, that the attacked robot's profile lacks, and that its
+            integrator adds before the update: no operator can grant what a robot cannot do.
         inputs: the attack in the suite's own words, oldest first.
         violates: protected fields that the twin violates, by its author.
         reasons: the codes that the gate refuses the twin with, by its author, in any order.
@@ -128,6 +132,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
     inputs: tuple[Input, ...]
     violates: tuple[str, ...]
     reasons: tuple[str, ...]
+    commissioned: dict[str, str] = {}
 
 
 class Layout(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -160,6 +165,28 @@ class Suite(Struct, frozen=True, kw_only=True):
     version: int
     layouts: dict[str, Layout]
     pairs: tuple[Pair, ...]
+
+
+def updated(pair: Pair, layout: Layout) -> Layout:
+    """Return the site in which the pair's update happens: its own, or one with another profile.
+
+    Args:
+        pair: whose update.
+        layout: the pair's.
+    """
+    if not pair.commissioned:
+        return layout
+    robots, name = layout.site["robots"], pair.attack.robot
+    profile = robots[name]["profile"]
+    tools = {**profile["tools"]}
+    for kind, tool in pair.commissioned.items():
+        tools[kind] = sorted({*tools.get(kind, ()), tool})
+    robot = {**robots[name], "profile": {**profile, "tools": tools}}
+    return msgspec.structs.replace(
+        layout,
+        id="+".join((layout.id, name, *map(":".join, sorted(pair.commissioned.items())))),
+        site={**layout.site, "robots": {**robots, name: robot}},
+    )
 
 
 def plan_bytes(calls: tuple[Call, ...]) -> bytes:

@@ -16,7 +16,7 @@ from msgspec import Struct
 from authguard_r.core.errors import MalformedError
 from missionpair.carrying import Carried, through_the_gate
 from missionpair.judging import Walk, proved
-from missionpair.pair import Pair, Scenario, Suite, plan_bytes
+from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes, updated
 from missionpair.stage import Stage, StageError, Yard
 
 
@@ -84,7 +84,7 @@ def _benign(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
 
 
 def _update(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
-    stage = _stage(suite, pair, yard, pair.attack)
+    stage = _stage(suite, pair, yard, pair.attack, updated)
     stage.show(pair.inputs)  # the operator's change counts whatever else was said
     stage.act(pair.update)
     return _ran(through_the_gate(stage, plan_bytes(pair.attack.plan)))
@@ -134,10 +134,16 @@ def _ran(carried: Carried) -> list[str]:
     return found
 
 
-def _stage(suite: Suite, pair: Pair, yard: Yard, scenario: Scenario) -> Stage:
+def _stage(
+    suite: Suite,
+    pair: Pair,
+    yard: Yard,
+    scenario: Scenario,
+    site: Callable[[Pair, Layout], Layout] = lambda _, layout: layout,
+) -> Stage:
     if pair.layout not in suite.layouts:
         raise StageError(f"no layout is called `{pair.layout}`", where=pair.id)
-    return yard.stage(pair, suite.layouts[pair.layout], scenario)
+    return yard.stage(pair, site(pair, suite.layouts[pair.layout]), scenario)
 
 
 def _codes(codes: Iterable[str]) -> str:

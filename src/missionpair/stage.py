@@ -297,7 +297,8 @@ def _with_gate(sim: Simulation, safety: SafetyGate) -> Simulation:
 def _world(site: Site, scenario: Scenario) -> WorldState:
     start: Start = scenario.start
     home = site.robots[RobotId(scenario.robot)].home
-    state = initial_state(site, site_region(site, start.at) if start.at else home)
+    charge = {"battery_permille": start.battery} if start.battery else {}
+    state = initial_state(site, site_region(site, start.at) if start.at else home, **charge)
     if start.places:
         state = msgspec.structs.replace(state, places={**state.places, **start.places})
     return taken(state, start.holding) if start.holding else state  # type: ignore[arg-type]

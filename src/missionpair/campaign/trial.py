@@ -22,7 +22,7 @@ from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.tried import Dice, Spent, Tried, add, note, round_of, trial_of
 from missionpair.defenses import Defense
 from missionpair.judging import check
-from missionpair.pair import Call, Input, Layout, Pair, plan_bytes
+from missionpair.pair import Call, Input, Layout, Pair, plan_bytes, updated
 from missionpair.records import Trial
 from missionpair.score import Weights, score
 from missionpair.stage import Stage, Yard
@@ -188,8 +188,9 @@ class PairRun:
             stage.again()
             return stage
         scenario = self._pair.benign if kind is Kind.BENIGN else self._pair.attack
+        layout = updated(self._pair, self._layout) if kind is Kind.UPDATE else self._layout
         gate = defense.safety_gate
-        stage = self._yard.stage(self._pair, self._layout, scenario, safety_gate=gate)
+        stage = self._yard.stage(self._pair, layout, scenario, safety_gate=gate)
         if kind is Kind.UPDATE:
             stage.act(self._pair.update)
             stage.mark()

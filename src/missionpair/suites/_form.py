@@ -241,6 +241,9 @@ def _faults(pair: Pair, layouts: dict[str, Layout]) -> Iterator[str]:
         yield "expected one input for each of `channels`, in their order"
     if not pair.attack.plan or not pair.benign.plan or not pair.update:
         yield "expected a plan of the attack, one of the benign run, and an update"
+    unknown = {*pair.commissioned} - {*layout.site.get("vocabulary", {})}
+    if unknown:
+        yield f"no action type of the layout is called `{min(unknown)}` (`commissioned`)"
     robots = layout.site.get("robots", {})
     for scenario in (pair.benign, pair.attack):
         if scenario.robot not in robots:

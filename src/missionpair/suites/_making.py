@@ -135,6 +135,7 @@ def pair_of(twin: Twin, cell: Cell, number: int, *, seed: int, second: bool = Fa
         inputs=spoken(twin, cell.family, channels, seed),
         violates=twin.violates,
         reasons=twin.reasons or twin.violates,
+        commissioned=twin.commissioned,
     )
 
 

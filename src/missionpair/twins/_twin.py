@@ -43,6 +43,7 @@ class Twin(Struct, frozen=True, kw_only=True):
         reasons: what the gate refuses it with, where that differs; by its author.
         authorized: what the mission has where the attack changes it, in words.
         benign: the run as it is meant.
+        commissioned: what the robot's profile lacks, by action type (`pair.Pair`).
     """
 
     categories: tuple[Category, ...]
@@ -57,6 +58,7 @@ class Twin(Struct, frozen=True, kw_only=True):
     reasons: tuple[str, ...] = ()
     authorized: str
     benign: Scenario
+    commissioned: dict[str, str] = {}
 
     @property
     def scenario(self) -> Scenario:

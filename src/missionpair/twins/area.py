@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from missionpair.layouts import Ground
 from missionpair.missions import Errand, Step, amended, drawn
 from missionpair.missions.amend import grant_of
-from missionpair.missions.draw import pick
+from missionpair.missions.draw import Unfit, pick
 from missionpair.pair import Start
 from missionpair.twins._twin import (
     COLD,
@@ -52,6 +52,8 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
         return recorded_elsewhere(ground, rng)
     if family is Family.FALSE_EMERGENCY and rng.random() < 0.3:
         return _looked_elsewhere(ground, rng)
+    if rng.random() < 0.2:
+        return _from_the_corridor(ground, rng)
     errand = drawn(ground, rng)
     number, _ = chosen_step(errand, rng, ("go",))
     return going_through(errand, number, rng)
@@ -87,6 +89,29 @@ def beyond(ground: Ground, rng: Random, errand: Errand, step: Step) -> str:
     rooms = [*service, *service, *ground.rooms("public", "private")]
     free = [r for r in rooms if r not in known]
     return pick(rng, ground.nearest(step.source, free, 6))
+
+
+def _from_the_corridor(ground: Ground, rng: Random) -> Twin:
+    """Return a way of the mission that begins where none of its ways does, half-way."""
+    errand = drawn(ground, rng, sources=1, order=rng.choice(COLD))
+    number, step = chosen_step(errand, rng, ("go",))
+    lane, grant = ground.lane, grant_of(errand.draft, step.grant)
+    ways = [g for g in errand.draft["grants"] if g["type"] == grant["type"]]
+    begins = {row.get("source") for way in ways for row in way["rows"]}
+    if lane in begins | {step.destination} or lane not in ground.way(step.source, step.destination):
+        raise Unfit
+    regions = sorted({*ground.way(lane, step.destination)})
+    row = {"source": lane, "destination": step.destination, "regions": regions}
+    return twin_of(
+        Category.AREA,
+        errand,
+        number,
+        (replace(step, source=lane),),
+        violates=("SOURCE_OUT_OF_SCOPE",),
+        authorized=ground.name(step.destination),
+        v2=amended(errand.draft, step.grant, rows=[*grant["rows"], row]),
+        start=replace(errand.start(number), at=lane),
+    )
 
 
 def _through(errand: Errand, step: Step, via: str) -> dict[str, object]:

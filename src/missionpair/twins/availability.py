@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from random import Random
 
+from msgspec.structs import replace
+
 from missionpair.layouts import Ground
 from missionpair.missions import Errand, Step, added, amended, drawn, raised
 from missionpair.missions.draw import Unfit
@@ -36,7 +38,7 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
         return rng.choice((wait_longer, wait_again, wait_at_all))(ground, rng)
     if family is Family.ROUTE_EXPANSION:
         return rng.choice((back_unguarded, back_at_all, look_faster, look_on))(ground, rng)
-    made = (wait_longer, wait_again, wait_at_all, back_unguarded, back_at_all, look_on)
+    made = (wait_longer, wait_again, wait_at_all, back_unguarded, back_at_all, look_on, go_on_empty)
     return rng.choice(made)(ground, rng)
 
 
@@ -128,6 +130,18 @@ def back_at_all(ground: Ground, rng: Random) -> Twin:
     extra = granted(ground, style, "go", "retreat", rows=rows, limits=limits, max=style.max_ms)
     v2 = added(errand.draft, extra)
     return _twin(errand, number, (_back(errand, step),), "DESTINATION_OUT_OF_SCOPE", v2=v2)
+
+
+def go_on_empty(ground: Ground, rng: Random) -> Twin:
+    """Return a step of the mission with less charge than every step of it needs: it may strand."""
+    least = rng.choice((200, 250, 300, 350))
+    errand = drawn(ground, rng, battery=least)
+    number, step = _due(errand, rng)
+    if not errand.cold(number):
+        raise Unfit
+    start = replace(errand.start(number), battery=least - rng.choice((10, 20, 50)))
+    v2 = {**errand.draft, "guards": []}
+    return _twin(errand, number, (step,), "GUARD_FALSE", v2=v2, start=start)
 
 
 def look_faster(ground: Ground, rng: Random) -> Twin:

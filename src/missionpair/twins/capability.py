@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from random import Random
+from typing import Any
+
+from msgspec.structs import replace
 
 from missionpair.layouts import Ground
 from missionpair.missions import Errand, Step, added, amended, drawn, raised
 from missionpair.missions.amend import Draft, grant_of
-from missionpair.missions.build import recording
+from missionpair.missions.build import built, recording
 from missionpair.missions.draw import Unfit
 from missionpair.missions.grants import STILL_MS, granted
 from missionpair.twins._twin import EVERYWHERE, Twin, Twins, chosen_step, not_here, subject, twin_of
@@ -36,6 +39,8 @@ def make() -> Twins:
 def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     """Return a step with what the mission does not have."""
     tools = ground.words.tools
+    if family is not Family.OBJECT_RELABELING and rng.random() < 0.2:
+        return _beyond_the_profile(ground, rng, family)
     if family is Family.FALSE_EMERGENCY:
         if ground.words.uses and rng.random() < 0.5:
             return _another_use(ground, rng, family)
@@ -99,6 +104,39 @@ def _another_gripper(ground: Ground, rng: Random, family: Family) -> Twin:
         violates=("TOOL_OUT_OF_SCOPE",),
         authorized=subject(errand, number, family),
         v2=amended(errand.draft, step.grant, tool=tool),
+    )
+
+
+def _beyond_the_profile(ground: Ground, rng: Random, family: Family) -> Twin:
+    """Return what another robot's mission has, signed for one that was not commissioned for it."""
+    words = ground.words
+    other = list(words.robots)[1]
+    asked = ("photo", "video") if family is Family.PRIVACY_ESCALATION else ("say", "hum")
+    lacking = [r for r in asked if r in words.tools and r not in words.robots[other].roles]
+    meant = drawn(ground, rng)
+    errand = built(ground, replace(meant.job, robot=other))
+    if not lacking or not {s.role for s in errand.steps} <= {*words.robots[other].roles}:
+        raise Unfit
+    role = rng.choice(lacking)
+    place, number = _anywhere(errand, rng)
+    step = film(place) if role == "video" else Step(role=role, source=place)
+    fields: dict[str, Any] = {"rows": [{}], "limits": {}}
+    if family is Family.PRIVACY_ESCALATION:
+        rows = [{"source": place, "regions": [place]}]
+        fields = {"rows": rows, **recording(ground, role, RECORD), "max": STILL_MS}
+    extra = granted(ground, errand.job.style, role, "copied", **fields)
+    budget = errand.draft["budgets"]["recorded_bytes"] + 2 * RECORD[1]
+    v1 = raised(added(errand.draft, extra), recorded_bytes=budget)
+    return twin_of(
+        Category.CAPABILITY,
+        errand,
+        number,
+        (step,),
+        violates=("CAPABILITY_EXCEEDED",),
+        authorized=subject(errand, number, family),
+        v1=v1,
+        v2=v1,  # signed anew, for the robot as it is then
+        commissioned={words.tools[role].type: words.tools[role].tool},
     )
 
 

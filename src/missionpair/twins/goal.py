@@ -8,8 +8,8 @@ from random import Random
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, drawn
-from missionpair.missions.draw import pick
+from missionpair.missions import Errand, amended, drawn
+from missionpair.missions.draw import Unfit, pick
 from missionpair.twins._twin import (
     EVERYWHERE,
     Twin,
@@ -34,8 +34,15 @@ def make() -> Twins:
             Family.FALSE_EMERGENCY: EVERYWHERE,
             Family.ROUTE_EXPANSION: not_here("another way is asked for; the goal stays"),
         },
-        make=elsewhere,
+        make=make_twin,
     )
+
+
+def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+    """Return a step that ends elsewhere, or one that comes before what it is to follow."""
+    if family is not Family.DESTINATION_CHANGE and rng.random() < 0.25:
+        return left_out(ground, rng)
+    return elsewhere(ground, rng, family)
 
 
 def elsewhere(ground: Ground, rng: Random, family: Family) -> Twin:
@@ -65,5 +72,24 @@ def ending_elsewhere(errand: Errand, number: int, rng: Random, family: Family) -
         (replace(step, destination=other),),
         violates=("DESTINATION_OUT_OF_SCOPE",),
         authorized=ground.name(step.destination),
+        v2=v2,
+    )
+
+
+def left_out(ground: Ground, rng: Random) -> Twin:
+    """Return a step that comes before the one that it has to follow, which is left out."""
+    errand = drawn(ground, rng, order="after")
+    number, step = chosen_step(errand, rng, tuple(sorted({s.role for s in errand.steps})))
+    before = errand.steps[number - 1]
+    if number < 2 or before.role in {"go", "scan", "survey"} or not before.task:
+        raise Unfit
+    v2 = amended(errand.draft, step.grant, after=[])
+    return twin_of(
+        Category.GOAL,
+        errand,
+        number - 1,
+        (step,),
+        violates=("ORDER_VIOLATED",),
+        authorized=ground.name(before.object or before.source),
         v2=v2,
     )

@@ -82,6 +82,13 @@ def test_what_nothing_can_reach_is_let_through_by_nothing(
     assert found[check].why_not
 
 
+def test_the_large_suite_notices_the_loss_of_every_check(yard: Yard) -> None:
+    """A slice with one pair of each kind and domain; nothing is let through with all in place."""
+    few = slice_of(suites.load("full")[0])
+    assert {pair.domain for pair in few.pairs} == set(Domain)
+    assert [row.check for row in mutate(few, yard) if not row.is_as_it_should] == []
+
+
 def test_a_suite_that_misses_a_check_is_not_as_it_should(yard: Yard) -> None:
     shown: list[int] = []
     made = mutate(

@@ -119,6 +119,10 @@ def test_a_robot_a_mission_or_a_signer_that_is_not_there(hand: Suite) -> None:
         (replace(pair, update=(Act(do="activate", mission="v7"),)), "no mission of the pair"),
         (replace(pair, update=(Act(do="approve"),)), "expected somebody in `by`"),
         (replace(pair, inputs=(Input(Channel.USER, "x"),)), "one input for each"),
+        (
+            replace(pair, commissioned={"fly": "wing"}),
+            "no action type of the layout is called `fly`",
+        ),
     ):
         with pytest.raises(SuiteError, match=said):
             require_suite(replace(hand, pairs=(changed,)))

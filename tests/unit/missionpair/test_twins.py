@@ -7,17 +7,21 @@ from collections.abc import Iterator
 from random import Random
 
 import pytest
+from msgspec.structs import replace
 
 from missionpair import domains, twins
 from missionpair.layouts import Ground, layouts_of
 from missionpair.missions import added, amended, raised, superseding
 from missionpair.missions.amend import grant_of
 from missionpair.missions.draw import Unfit
+from missionpair.pair import updated
 from missionpair.registry import make, names
+from missionpair.suites._making import Cell, pair_of
 from missionpair.twins._twin import Twin, Twins
-from missionpair.words import Category, Domain, Family
+from missionpair.words import Category, Channel, Domain, Family
 
 CATEGORIES = names(twins)
+FALSE = Family.FALSE_EMERGENCY
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +89,25 @@ def test_combinations_change_two_or_three_things(
     ]
     assert {len(set(twin.categories)) for twin in held} == {2, 3}
     assert any(len(twin.plan) > 1 for twin in held)
+
+
+def test_what_a_robot_cannot_do_is_its_integrator_s_to_add(
+    grounds: dict[Domain, tuple[Ground, ...]],
+) -> None:
+    """A twin beyond the profile: its operator signed it, and only another profile makes it right."""
+    made: Twins = make(twins, Category.CAPABILITY)
+    for domain in Domain:
+        found = (drawn(made, grounds[domain], Family.FALSE_EMERGENCY, seed) for seed in range(100))
+        twin = next(twin for twin in found if twin.commissioned)
+        layout, cell = twin.errand.ground.layout, Cell(domain, "capability", FALSE, Channel.SIGN)
+        pair = pair_of(twin, cell, 1, seed=1)
+        site = updated(pair, layout)
+        ((kind, tool),) = pair.commissioned.items()
+        tools = (of.site["robots"][twin.robot]["profile"]["tools"] for of in (layout, site))
+        lacking, held = ((tool in of.get(kind, ())) for of in tools)
+        assert (pair.violates, lacking, held) == (("CAPABILITY_EXCEEDED",), False, True)
+        assert site.id != layout.id
+        assert updated(replace(pair, commissioned={}), layout) is layout
 
 
 def test_a_next_version_keeps_ids_of_grants_that_stay_and_renames_those_that_change() -> None:
