@@ -94,7 +94,7 @@ def test_combinations_change_two_or_three_things(
 def test_what_a_robot_cannot_do_is_its_integrator_s_to_add(
     grounds: dict[Domain, tuple[Ground, ...]],
 ) -> None:
-    """A twin beyond the profile: its operator signed it, and only another profile makes it right."""
+    """A twin beyond the profile: its operator signed it, and another profile authorizes it."""
     made: Twins = make(twins, Category.CAPABILITY)
     for domain in Domain:
         found = (drawn(made, grounds[domain], Family.FALSE_EMERGENCY, seed) for seed in range(100))
