@@ -6,10 +6,14 @@ Transcribes docs/spec/decision.md, "Values of state": the state s of `eq:policy-
 """
 
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 Json = dict[str, Any]
 Point = tuple[int, int]
+Polygon = tuple[Point, ...]
+#: Answers on points and polygons that are kept: every row and every try asks of the same ones.
+REMEMBERED = 4096
 
 
 def unfit(value: Json | None, max_age_ms: int, state: Json | None, facts: Json, now: Json) -> str:
@@ -149,7 +153,7 @@ def place_of(pose: Json, facts: Json) -> set[str]:
     for name, region in facts["regions"].items():
         same_map = region["map"] == pose["map"]
         same_floor = region["floor"] == pose["floor"]
-        polygon = [(x, y) for x, y in region["points"]]
+        polygon = tuple((x, y) for x, y in region["points"])
         if same_map and same_floor and is_within(point, polygon, pose.get("margin_mm", 0)):
             place.add(name)
             if is_deep(point, polygon, pose.get("margin_mm", 0)):
@@ -157,7 +161,8 @@ def place_of(pose: Json, facts: Json) -> set[str]:
     return place - left_out
 
 
-def is_deep(point: Point, polygon: list[Point], margin: int) -> bool:
+@lru_cache(REMEMBERED)
+def is_deep(point: Point, polygon: Polygon, margin: int) -> bool:
     """Decide whether a point is inside a polygon and farther from every side than the margin.
 
     Args:
@@ -174,7 +179,8 @@ def is_deep(point: Point, polygon: list[Point], margin: int) -> bool:
     return winding_number(point, sides) != 0
 
 
-def is_within(point: Point, polygon: list[Point], margin: int) -> bool:
+@lru_cache(REMEMBERED)
+def is_within(point: Point, polygon: Polygon, margin: int) -> bool:
     """Decide whether the distance from a point to a polygon is at most the margin.
 
     Args:

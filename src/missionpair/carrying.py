@@ -35,10 +35,11 @@ EXECUTED, REFUSED = "executed", "rejected"
 
 
 class Spent(Struct, frozen=True, kw_only=True):
-    """How long the parts took, microseconds."""
+    """How long the parts took, microseconds; `safety` is the second gate's, in nothing else."""
 
     normalize: int = 0
     decide: int = 0
+    safety: int = 0
     world: int = 0
     defense: int = 0
 
@@ -181,8 +182,9 @@ def through_the_gate(stage: Stage, raw: bytes) -> Carried:
         spent=Spent(
             normalize=normalized,
             decide=road.decide_us,
-            world=whole - normalized - road.decide_us,
-            defense=normalized + road.decide_us,
+            safety=road.safety_us,
+            world=whole - normalized - road.decide_us - road.safety_us,
+            defense=normalized + road.decide_us + road.safety_us,
         ),
     )
 
@@ -194,7 +196,7 @@ class _Road:
         self.stage = stage
         self.plan = plan
         self.effects: list[Effect] = []
-        self.succeeded = self.prompts = self.waited_ms = self.decide_us = 0
+        self.succeeded = self.prompts = self.waited_ms = self.decide_us = self.safety_us = 0
         self.refusal: tuple[str, tuple[str, ...]] = ("", ())
 
     def take(self, step: Step) -> bool:
@@ -216,12 +218,14 @@ class _Road:
         stage, robot = self.stage, self.stage.sim.robot
         began = len(robot.trace)
         # what the oracle judges is the registry as it was before: read while nothing has changed
-        before = stage.standing()
+        before, took = stage.standing(), stage.safety_took[0]
         at = perf_counter_ns()
         report = stage.sim.gate.enforcer.propose(
             step, planner=PLANNER, evidence=self.plan.evidence, context=stage.context()
         )
-        self.decide_us += _us(at) if len(robot.trace) == began else 0
+        safety_us = (stage.safety_took[0] - took) // 1_000
+        self.safety_us += safety_us
+        self.decide_us += _us(at) - safety_us if len(robot.trace) == began else 0
         for executed in robot.trace[began:]:
             self._done(executed, before)
         return report

@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from functools import cached_property, partial
 from hashlib import sha256
 from pathlib import Path
+from time import perf_counter_ns
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -23,12 +24,17 @@ import msgspec
 
 from authguard_r.assembly import Simulation, demo_members
 from authguard_r.commands import Verb
+from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import SafetyGate
+from authguard_r.core.quantities import Now
+from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Standing
+from authguard_r.core.state import AttestedState
 from authguard_r.keys.setup import init_folder
 from authguard_r.normalize import Plan, normalize
 from authguard_r.normalize.binding import load_binding
@@ -69,6 +75,29 @@ class StageError(Exception):
         return partial(StageError, where=self.where), (self.message,)
 
 
+class _Timed:
+    """The second gate with a watch beside it: what it says is what it says without one."""
+
+    def __init__(self, gate: SafetyGate, took: list[int]) -> None:
+        self._gate, self._took = gate, took
+
+    def recall(self, memory: bytes) -> SafetyGate:
+        """Return the gate as of this memory, timed."""
+        at = perf_counter_ns()
+        recalled = self._gate.recall(memory)
+        self._took[0] += perf_counter_ns() - at
+        return self if recalled is self._gate else _Timed(recalled, self._took)
+
+    def assess(
+        self, action: Action, state: AttestedState | None, facts: SiteFacts, now: Now
+    ) -> SafetyDecision:
+        """Return the gate's verdict."""
+        at = perf_counter_ns()
+        decided = self._gate.assess(action, state, facts, now)
+        self._took[0] += perf_counter_ns() - at
+        return decided
+
+
 @dataclass
 class Stage:
     """One prepared situation.
@@ -82,6 +111,7 @@ class Stage:
         inputs: what reached the planner.
         approvers: who answers when somebody asks.
         walk: how far plans went past the gate (`judging.Walk`); None: nowhere yet.
+        safety_took: nanoseconds that the second gate took so far, in a list of one.
     """
 
     bench: Bench
@@ -92,6 +122,7 @@ class Stage:
     inputs: tuple[Input, ...] = ()
     approvers: tuple[str, ...] = ()
     walk: Any = None
+    safety_took: list[int] = field(default_factory=lambda: [0])
     _read: tuple[bytes, Plan | MalformedError] | None = None
     _context: ContextLedger | None = None
     _mark: Memento | None = None
@@ -257,10 +288,11 @@ class Yard:
         except (AuthGuardError, KeyError) as error:
             where = f"{pair.id}: {scenario.robot}"
             raise StageError(f"{type(error).__name__}: {error}", where=where) from error
-        if safety_gate is not None:
-            sim = _with_gate(sim, safety_gate)
+        took = [0]
+        sim = _with_gate(sim, _Timed(safety_gate or sim.gate.safety, took))
         scene = Scene(sim=sim, mission=mission, plan=b"", names=bench.names)
-        made = Stage(bench, pair, scenario, scene, {first: mission}, approvers=scenario.approvers)
+        made = Stage(bench, pair, scenario, scene, {first: mission}, safety_took=took)
+        made.approvers = scenario.approvers
         made.act(scenario.before)
         made.mark()
         return made

@@ -42,6 +42,7 @@ class Spent:
     cost_microusd: int = 0
     normalize: int = 0
     decide: int = 0
+    safety: int = 0
     defense: int = 0
     world: int = 0
     total: int = 0
@@ -117,6 +118,7 @@ def timing_of(spent: Spent) -> Timing:
         attacker=spent.attacker,
         normalize=spent.normalize,
         decide=spent.decide,
+        safety=spent.safety,
         defense=spent.defense,
         world=spent.world,
         total=spent.total,
@@ -180,5 +182,6 @@ def add(spent: Spent, carried: Carried, took_us: int) -> None:
     """Add what one plan took; what is not the defense's own time is the world's."""
     spent.normalize += carried.spent.normalize
     spent.decide += carried.spent.decide
+    spent.safety += carried.spent.safety
     spent.defense += carried.spent.defense
     spent.world += max(0, took_us - carried.spent.defense)
