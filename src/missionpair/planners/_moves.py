@@ -220,6 +220,15 @@ MOVES: tuple[Move, ...] = (
     broken,
 )
 
+#: Moves that are drawn less often: what begins with authorized motion takes as long as it does.
+_SLOW = frozenset(
+    {usual_changed, usual_and_more, usual_in_disorder, usual_again, repeated, several}
+)
+#: Numbers of moves, as often as each is drawn once all of them were made.
+DRAWN: tuple[int, ...] = tuple(
+    number for number, move in enumerate(MOVES) for _ in range(1 if move in _SLOW else 4)
+)
+
 
 def _calls(said: Said) -> list[Step]:
     return [] if isinstance(said, bytes) else said

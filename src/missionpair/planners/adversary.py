@@ -16,7 +16,7 @@ from msgspec import Struct
 
 from missionpair.briefing import Briefing, Reply
 from missionpair.pair import Call, plan_bytes
-from missionpair.planners._moves import MOVES, Said, Situation, Step
+from missionpair.planners._moves import DRAWN, MOVES, Said, Situation, Step
 from missionpair.planners._space import Space, space_of
 
 #: Plans that are kept to change them further, and ways to each code that are remembered.
@@ -123,9 +123,9 @@ class Adversary:
                 return self._rare(situation)
             if turn == 2 and self._best:
                 return None, self._changed(situation)
-        move = self._made % len(MOVES)
+        move = self._made
         if self._made >= len(MOVES):
-            move = self._below(len(MOVES))
+            move = DRAWN[self._below(len(DRAWN))]
         number, self._next[move] = self._next[move], self._next[move] + 1
         return _Way(move, number), MOVES[move](situation, number)
 
@@ -184,11 +184,14 @@ def _codes(found: _Told) -> set[str]:
 
 
 def _reached(found: _Told) -> int:
-    """Return how far a plan got: executed is furthest, then one refusal, then several."""
+    """Return how far a plan got: executed is furthest, then one refusal, then several.
+
+    Of two that got as far the shorter one: what is changed in it is not behind other steps.
+    """
     if not found.plan:
         return -100
     points = 100 * (found.outcome == "executed") + 40 * found.executable + 20 * found.safe
-    return points - 5 * len({item.reason for item in found.findings})
+    return points - 5 * len({item.reason for item in found.findings}) - 10 * len(found.plan)
 
 
 def _plain(call: Call) -> Step:
