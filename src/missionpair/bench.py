@@ -56,7 +56,8 @@ class Bench:
         binding: the planner's tools.
         start_ms: the simulated instant at which every trial begins.
         envelopes: the safety model of each robot, once it was made.
-        offered: names and tools that each robot's planner is offered, once they were made.
+        offered: names and tools that a robot's planner is offered, once they were made; by the
+            robot, and what it is offered beyond its profile.
     """
 
     folder: Path
@@ -64,7 +65,7 @@ class Bench:
     binding: Binding
     start_ms: int
     envelopes: dict[RobotId, EnvelopeGate] = field(default_factory=dict, compare=False)
-    offered: dict[RobotId, Any] = field(default_factory=dict, compare=False)
+    offered: dict[Any, Any] = field(default_factory=dict, compare=False)
 
     def draft(self, **changes: Any) -> dict[str, Any]:
         """Return the hospital's mission draft as plain data, with top-level fields replaced."""

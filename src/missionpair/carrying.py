@@ -12,6 +12,7 @@ from collections.abc import Callable
 from time import perf_counter_ns
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Verdict
@@ -27,7 +28,7 @@ from authguard_r.report import Report
 from authguard_r.sim.robot import Executed
 from authguard_r.sim.world import DURATION
 from missionpair.bench import PLANNER, approve
-from missionpair.judging import Effect, Walk, proved
+from missionpair.judging import NONE, Effect, Walk, proved
 from missionpair.stage import Stage
 
 #: What a planner is told of its plan; the product tells no more without being asked to.
@@ -131,7 +132,7 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> Carried:
         if denied is not None:
             break
         at = perf_counter_ns()
-        judged = proved(walk, action)
+        judged = _agreed(stage, proved(walk, action))
         if judged.authorized:
             walk.findings(action)  # which grant it uses
         before = walk.now.mono_ms
@@ -152,6 +153,16 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> Carried:
         stalled_ms=waited,
         spent=Spent(normalize=normalized, world=in_world, defense=whole - in_world),
     )
+
+
+def _agreed(stage: Stage, effect: Effect) -> Effect:
+    """Return an effect with the agreement of those who stand by to approve it (benign runs).
+
+    Where no gate asks them, what they would have signed is not against anybody's will.
+    """
+    if stage.approvers and effect.reasons == (str(Reason.APPROVAL_REQUIRED),):
+        return replace(effect, authorized=True, reasons=(), deviation=NONE)
+    return effect
 
 
 def through_the_gate(stage: Stage, raw: bytes) -> Carried:

@@ -59,12 +59,13 @@ def briefing_of(stage: Stage, *, turns: tuple[Turn, ...], usual: tuple[Call, ...
 
 def _offered(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Tool, ...]]:
     """Return the names and tools of the stage's robot, made once for a bench."""
-    bench, rid = stage.bench, stage.sim.robot.rid
-    found = bench.offered.get(rid)
+    bench, rid, beyond = stage.bench, stage.sim.robot.rid, stage.pair.commissioned
+    key = (rid, tuple(sorted(beyond.items())))
+    found = bench.offered.get(key)
     if found is None:
         site, binding = bench.site, bench.binding
-        found = (places_of(site), things_of(site), tools_of(site, binding, robot=rid))
-        bench.offered[rid] = found
+        tools = tools_of(site, binding, robot=rid, beyond=beyond)
+        found = bench.offered[key] = (places_of(site), things_of(site), tools)
     return found
 
 

@@ -8,9 +8,10 @@ Spec page: docs/spec/binding.md
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
+from types import MappingProxyType
 from typing import Any
 
 from authguard_r.core.identifiers import ParameterId, RobotId
@@ -55,7 +56,12 @@ def things_of(site: Site) -> tuple[str, ...]:
 
 
 def tools_of(
-    site: Site, binding: Binding, *, robot: RobotId | None = None, in_words: bool = True
+    site: Site,
+    binding: Binding,
+    *,
+    robot: RobotId | None = None,
+    beyond: Mapping[str, str] = MappingProxyType({}),
+    in_words: bool = True,
 ) -> tuple[Tool, ...]:
     """Return the tools of a binding, in its order.
 
@@ -63,10 +69,12 @@ def tools_of(
         site: whose names and words they speak.
         binding: the planner's interface.
         robot: leave out what it cannot do; None offers every tool.
+        beyond: tools by action type that are offered although the robot's profile lacks them.
         in_words: list the names that an argument may be; else it is any text, as interfaces have it
             that do not know their site.
     """
     able = None if robot is None else site.robots[robot].profile.tools
+    more = set(beyond.items())
     offered = []
     for name in binding.tools:
         found = [way.tool for way in ways_of(binding, name)]
@@ -74,7 +82,11 @@ def tools_of(
             tool
             for tool in found
             if not site.vocabulary[tool.type].state_writing
-            and (able is None or tool.tool in able.get(tool.type, ()))
+            and (
+                able is None
+                or tool.tool in able.get(tool.type, ())
+                or (tool.type, tool.tool) in more
+            )
         ]
         if usable:
             offered.append(_tool(name, usable, _Words(site, in_words=in_words)))
