@@ -43,6 +43,7 @@ from authguard_r.cli import (
     risk_policy,
     robot,
     run,
+    safety_config,
     segments,
     shred,
     site,
@@ -77,6 +78,7 @@ keys.app.command("show")(key_lists.show_command)
 app.add_typer(keys.app, name="keys")
 app.add_typer(key_lists.app, name="revocations")
 app.add_typer(gate_config.app, name="gate-config")
+app.add_typer(safety_config.app, name="safety-config")
 app.add_typer(emergency.app, name="emergency")
 app.add_typer(site.app, name="site")
 app.add_typer(risk_policy.app, name="risk-policy")

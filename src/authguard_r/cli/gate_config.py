@@ -281,7 +281,7 @@ def user_number(who: str | int, *, where: str) -> int:
         return int(who)
     try:
         return pwd.getpwnam(who).pw_uid
-    except KeyError as error:
+    except (KeyError, ValueError) as error:  # a name with a NUL is no name
         raise MalformedError(
             f"this machine has no user `{who}`; create it, or give its number", where=where
         ) from error

@@ -10,6 +10,9 @@ from authguard_r.core.token import open_token
 from authguard_r.safety.config import SafetyConfig
 from authguard_r.safety.temporal.rules import compile_rules
 
+#: Who signs one.
+CONFIG_ROLES = frozenset({"safety_officer"})
+
 
 def open_config(data: bytes, *, verifier: Verifier, now: Now) -> SafetyConfig:
     """Return the configuration in a token signed by a safety officer.
@@ -22,7 +25,7 @@ def open_config(data: bytes, *, verifier: Verifier, now: Now) -> SafetyConfig:
         data,
         SafetyConfig,
         tag=Tag.SAFETY,
-        roles=frozenset({"safety_officer"}),
+        roles=CONFIG_ROLES,
         verifier=verifier,
         now=now,
     )

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard safety-config`: what is physically safe for a robot, written, shown, signed.
+
+How-to: docs/howto/safety.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from msgspec import to_builtins
+
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
+from authguard_r.cli.out import emit
+from authguard_r.cli.safety_form import Form, own_envelope, read_form, written
+from authguard_r.cli.sign import sign_shown
+from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
+from authguard_r.compile.spoken import quantity, quoted
+from authguard_r.core.encoding import Tag
+from authguard_r.gate.checkup.users import user_name
+from authguard_r.gate.process import ASKED_MS
+from authguard_r.keys.files import write_whole
+from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.safety import Checker, Rule, SafetyConfig, open_config, safety_digest
+from authguard_r.safety.config import THE_OBJECT, Executable
+from authguard_r.safety.signed import CONFIG_ROLES
+from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.templates import claimed
+
+app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
+TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
+#: What makes no difference to what is safe.
+_LABELS = {"id", "version"}
+
+
+@app.command("make")
+def make(
+    site: SiteOption,
+    robot: Annotated[str, typer.Option("--robot", help="The robot.")],
+    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """Write the envelope of the robot's own profile, to edit and sign."""
+    own = own_envelope(load_site(site), robot, where="--robot")
+    write_whole(out, written(own).encode("utf-8"))
+    emit(_payload(own, out), [*card(own), str(out)], as_json=as_json)
+    return 0
+
+
+@app.command("sign")
+def sign(
+    file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
+    site: SiteOption,
+    key: Annotated[Path, typer.Option("--key", help="The safety officer's key.")],
+    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    passphrase_file: PassphraseFile = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    trust: TrustChoice = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show what is demanded, ask, and sign; a checker's user by name is this machine's."""
+    model, where = load_site(site, trust), str(file)
+    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    config, signer = read_form(form, model, where=where), open_signer(key, cert, passphrase_file)
+    require_role(signer, CONFIG_ROLES, trust)
+    changed = _changed(config, own_envelope(model, config.rid, where=where))
+    told = f"  unlike the robot's own envelope: {', '.join(changed) or 'nothing'}"
+    target = out or file.with_suffix(".token")
+    return sign_shown(
+        config,
+        Tag.SAFETY,
+        signer,
+        card=[*card(config), told],
+        target=target,
+        payload={**_payload(config, target), "changed": changed},
+        yes=yes,
+        as_json=as_json,
+    )
+
+
+@app.command("show")
+def show(
+    token: Annotated[Path, typer.Argument(help="A signed configuration.")],
+    trust: TrustChoice = None,
+    now: NowOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Show what is demanded; with --trust, once a gate would take it."""
+    data = read_file(token)
+    if trust is None:
+        config = claimed(data, SafetyConfig, tag=Tag.SAFETY)
+        note = ["not verified: name the trust folder with --trust"]
+    else:
+        config, note = open_config(data, verifier=read_trust(trust), now=wall_now(now)), []
+    payload = {**_payload(config, token), "valid": None if trust is None else True}
+    emit(payload, [*note, *card(config)], as_json=as_json)
+    return 0
+
+
+def card(config: SafetyConfig) -> list[str]:
+    """Return a configuration for the person who signs it, every field of it."""
+    near = quantity(config.human_speed_mm_s, "mm/s")
+    return [
+        f"safety of `{config.rid}`: {config.id}, version {config.version}",
+        f"  for the profile {config.profile}",
+        f"  speed at most {quantity(config.max_speed_mm_s, 'mm/s')}",
+        f"  within {quantity(config.human_distance_mm, 'mm')} of a person at most {near}",
+        f"  force at most {quantity(config.max_force_mn, 'mN')}",
+        f"  load at most {quantity(config.max_payload_g, 'g')}",
+        f"  readings at most {quantity(config.max_age_ms, 'ms')} old",
+        f"  keeps out of {', '.join(config.keep_out) or 'no region'}",
+        f"  masses: {_table(config.masses_g, 'g') or 'none is known'}",
+        f"  lift nothing: {', '.join(config.in_place) or 'no type'}",
+        f"  pace of what carries no speed: {_table(config.paced, 'mm/s') or 'no type'}",
+        *map(_executable_line, config.executable),
+        *([] if config.executable else ["  nothing has to be so before an action"]),
+        *map(_rule_line, config.rules),
+        *([] if config.rules else ["  no rules over the order of actions"]),
+        *_checker_lines(config.checker),
+        f"  digest {safety_digest(config)}",
+    ]
+
+
+def _table(values: dict[Any, int], unit: str) -> str:
+    return ", ".join(f"{item} {quantity(value, unit)}" for item, value in sorted(values.items()))
+
+
+def _executable_line(rule: Executable) -> str:
+    wanted = "the action's object" if rule.equals == THE_OBJECT else f'"{rule.equals}"'
+    return f"  {rule.type} only while {rule.variable} is {wanted}"
+
+
+def _rule_line(rule: Rule) -> str:
+    said = "" if rule.message is None else f", told as {quoted(rule.message)}"
+    return f"  rule {rule.id}: {quoted(rule.formula)}{said}"
+
+
+def _checker_lines(checker: Checker | None) -> Iterator[str]:
+    if checker is None:
+        yield "  no checker is asked"
+        return
+    who = "the gate's own user"
+    if checker.uid is not None:
+        who = f"user {checker.uid} ({user_name(checker.uid) or 'no such user here'})"
+    asked = quantity(checker.timeout_ms, "ms")
+    yield f"  asks {checker.id} at {checker.socket}, {who}, within {asked}"
+    if checker.timeout_ms > ASKED_MS:
+        most = quantity(ASKED_MS, "ms")
+        yield f"    NOT FOR `authguard gate`: it takes a checker that answers within {most}"
+
+
+def _changed(config: SafetyConfig, own: SafetyConfig) -> list[str]:
+    """Return the fields in which a configuration is not the robot's own envelope."""
+    fields = (name for name in SafetyConfig.__struct_fields__ if name not in _LABELS)
+    return [name for name in fields if getattr(config, name) != getattr(own, name)]
+
+
+def _payload(config: SafetyConfig, file: Path) -> dict[str, Any]:
+    return {"file": str(file), "digest": safety_digest(config), "config": to_builtins(config)}
