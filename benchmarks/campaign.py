@@ -4,7 +4,9 @@
 A trial is all of it: the attacker's text, a deterministic planner, the normalizer, the checkers,
 both gates with registry and log, the simulated world, the judge, and the campaign's own line on
 disk. Everything runs on one core in a process of its own. Situations are prepared while the clock
-runs. The yardstick of the same run is the same campaign without any gate.
+runs. Attacks are the main figure, of one pair of each category of `live`; benign runs and signed
+updates of the same pairs stand beside it, for what is carried out takes a world to do it in. The
+yardstick of the same run is the same campaign without any gate.
 """
 
 from __future__ import annotations
@@ -29,37 +31,52 @@ from missionpair.stage import Yard
 from missionpair.words import Access, Kind
 
 _PAGE = os.sysconf("SC_PAGESIZE")
-#: Pairs that a measured campaign has; each is tried as often as the trials allow.
-PAIRS = 6
-#: Trials after which memory is looked at first: everything is loaded then.
+#: Of the suite, every so many-th pair is tried, as often as the trials allow: one of each category.
+EVERY, PAIRS = 10, 6
+#: Trials after which everything is loaded, as long as they are not more than a tenth of all.
 WARM = 10_000
 TARGET_RATE, TARGET_MIB = 3_000.0, 50.0
+ATTACK, WORK = (Kind.ATTACK,), (Kind.BENIGN, Kind.UPDATE)
+#: Name, planner, defense, kinds of trial, and the share of the trials that it gets.
+CAMPAIGNS = (
+    ("hijacked.none", "hijacked", "none", ATTACK, 10),
+    ("hijacked.both", "hijacked", "both", ATTACK, 1),
+    ("hijacked.both.work", "hijacked", "both", WORK, 500),
+    ("adversary.both", "adversary:always=yes", "both", ATTACK, 100),
+)
+Figures = dict[str, Any]
 
 
-def rate(planner: str, defense: str, trials: int, folder: Path) -> dict[str, float]:
-    """Return trials a second of one campaign, and how much memory it grew by after `WARM`."""
+def rate(planner: str, defense: str, kinds: tuple[Kind, ...], trials: int, log: Path) -> Figures:
+    """Return trials a second of one campaign, and its memory from the first trial to the last.
+
+    `rss_growth_mib` is the peak of what it has over what it had when everything was loaded.
+    """
     plan = Plan(
         suite="live",
         planner=planner,
         defenses=(defense,),
         access=Access.WHITE,
-        kinds=(Kind.ATTACK,),
+        kinds=kinds,
+        every=EVERY,
         pairs=PAIRS,
-        seeds=max(1, trials // PAIRS),
+        seeds=max(1, trials // PAIRS // len(kinds)),
     )
-    marks: dict[str, float] = {}
-
-    def seen(at: Any) -> None:
-        if at.done >= WARM and "rss" not in marks:
-            marks["rss"] = _rss()
-
+    marks: list[tuple[int, int]] = []
     begun = perf_counter()
-    campaign = run(plan, folder / f"{planner.partition(':')[0]}-{defense}", show=seen)
+    campaign = run(plan, log, show=lambda at: marks.append((at.done, _rss())))
     took = perf_counter() - begun
+    warm = min(WARM, campaign.trials // 10)
+    loaded = next(rss for done, rss in marks if done >= warm)
+    peak = max(rss for _, rss in marks)
     return {
         "trials": campaign.trials,
         "trials_per_s": campaign.trials / took,
-        "rss_growth_mib": (_rss() - marks.get("rss", _rss())) / 2**20,
+        "warm_after": warm,
+        "rss_first_mib": marks[0][1] / 2**20,
+        "rss_warm_mib": loaded / 2**20,
+        "rss_peak_mib": peak / 2**20,
+        "rss_growth_mib": (peak - loaded) / 2**20,
     }
 
 
@@ -99,15 +116,12 @@ def latency(log: Path) -> dict[str, float]:
 def measure(trials: int, folder: Path) -> dict[str, Any]:
     """Return every figure; each campaign in a process of its own, one after the other."""
     found: dict[str, Any] = {}
-    for planner, defense, share in (
-        ("hijacked", "none", 10),
-        ("hijacked", "both", 1),
-        ("adversary:always=yes", "both", 100),
-    ):
-        name = f"{planner.partition(':')[0]}.{defense}"
+    for name, planner, defense, kinds, share in CAMPAIGNS:
         print(f"measuring: {name}", file=sys.stderr, flush=True)
-        found[name] = _apart(rate, planner, defense, max(60, trials // share), folder)
-    found["hijacked.both"]["median_us"] = latency(folder / "hijacked-both")
+        log = folder / f"{name}.jsonl"
+        found[name] = _apart(rate, planner, defense, kinds, max(60, trials // share), log)
+        found[name]["median_us"] = latency(log)
+        log.unlink()
     print("measuring: on disk", file=sys.stderr, flush=True)
     found["hijacked.both.sqlite"] = _apart(on_disk, max(60, trials // 10), folder)
     return found
@@ -136,7 +150,8 @@ def main() -> int:
     met = "met" if main_rate["trials_per_s"] >= TARGET_RATE else "MISSED"
     print(f"both gates, in memory: target {TARGET_RATE:,.0f} trials/s: {met}")
     met = "met" if grown <= TARGET_MIB else "MISSED"
-    print(f"memory: grew by {grown:.1f} MiB after {WARM:,} trials: target {TARGET_MIB:.0f}: {met}")
+    text = f"{grown:.1f} MiB at most after the first {main_rate['warm_after']:,} trials"
+    print(f"memory: grew by {text}: target {TARGET_MIB:.0f}: {met}")
     if given.json:
         result = {"machine": machine.describe(Path.cwd()), "results": found}
         given.json.write_text(json.dumps(result, indent=1) + "\n")

@@ -18,7 +18,12 @@ QWEN = Named("qwen", parameters={"model": "qwen2.5:7b"})
 GRADED = Named("graded", simulated=True, parameters={"susceptibility": 0.4})
 FIXED, ADAPTIVE = Named("fixed"), Named("adaptive")
 REACHED = Round(
-    reply="{}", executable=True, safe=True, deviation="2/44", violated=("OBJECT_OUT_OF_SCOPE",)
+    reply="{}",
+    executable=True,
+    safe=True,
+    deviation="2/44",
+    violated=("OBJECT_OUT_OF_SCOPE",),
+    complied=True,
 )
 KEPT = Round(reply="{}", executable=True, safe=True)
 

@@ -46,8 +46,8 @@ class Case(Struct, frozen=True, kw_only=True):
     Args:
         goal: what the attacker wants, in words.
         wanted: the calls that it wants the planner to make.
-        instead_of: what the mission has where the attack changes it, as people spell it; may be
-            empty. The attacker knows what it wants to replace.
+        instead_of: what the mission has where the attack changes it, as people spell it, where
+            `inputs` say so already; else empty.
         family: what its texts claim.
         channels: the channels that it may use.
         inputs: the suite's own texts.

@@ -23,6 +23,7 @@ from missionpair.bench import Bench, make_bench
 from missionpair.cli_live import live_command
 from missionpair.cli_mutate import mutate_command
 from missionpair.cli_report import compare, report
+from missionpair.cli_require import require
 from missionpair.cli_run import list_command, run_command
 from missionpair.faults import FAULTS, fault_of
 from missionpair.selfchecks import SELF_CHECKS
@@ -109,6 +110,7 @@ app.command("live")(live_command)
 app.command("list")(list_command)
 app.command("report")(report)
 app.command("compare")(compare)
+app.command("require")(require)
 app.command("mutate")(mutate_command)
 
 

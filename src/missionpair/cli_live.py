@@ -10,13 +10,13 @@ from typing import Annotated
 
 import typer
 
-from missionpair import planners, registry
+from missionpair import attackers, planners, registry
 from missionpair.campaign.run import Plan, run
 from missionpair.cli_report import report
 from missionpair.cli_run import shown, summary_of
 from missionpair.words import Access, Kind
 
-#: Tries that an adaptive attacker has in the paper.
+#: Tries that an attacker has in the paper, fixed or adaptive.
 ROUNDS = 3
 
 
@@ -26,9 +26,12 @@ def live_command(
         list[str] | None,
         typer.Option("--planner", help="A model, as `run` takes it; may be repeated."),
     ] = None,
-    rounds: Annotated[int, typer.Option("--rounds", min=1, help="The adaptive tries.")] = ROUNDS,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, help="An attacker's tries.")] = ROUNDS,
+    every: Annotated[
+        int, typer.Option("--every", min=1, help="Take every so many-th of the 60 pairs.")
+    ] = 1,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", min=1, help="How many, from the first; 60 if absent.")
+        int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
     ] = None,
     benign: Annotated[
         bool, typer.Option("--benign", help="Ask for benign runs and updates, too.")
@@ -41,26 +44,27 @@ def live_command(
 ) -> int:
     """Run fixed and adaptive attacks on each model, and write the paper's tables.
 
-    Each model is its own adaptive attacker, as in the paper. Without `--planner`: the paper's two,
-    Claude Haiku 4.5 (needs ANTHROPIC_API_KEY) and Qwen2.5 7B over Ollama. A second start goes on
-    where the first was ended.
+    Each model is its own adaptive attacker, and a fixed text is strengthened round by round, as in
+    the paper. Without `--planner`: the paper's two, Claude Haiku 4.5 (needs ANTHROPIC_API_KEY) and
+    Qwen2.5 7B over Ollama. A second start goes on where the first was ended.
     """
     specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
     for spec in specs:  # what cannot be had is said before anything is asked
         registry.make(planners, spec)
+        registry.make(attackers, _adaptive(spec))
     out.mkdir(parents=True, exist_ok=True)
     kinds = tuple(Kind) if benign else (Kind.ATTACK,)
     logs: list[Path] = []
     for number, spec in enumerate(specs, 1):
         name = f"{number}-{spec.partition(':')[0]}"
-        inner = spec.replace(",", ";")
-        for attacker, tries in (("fixed", 1), (f"adaptive:model={inner}", rounds)):
+        for attacker in ("fixed", _adaptive(spec)):
             plan = Plan(
                 suite="live",
                 planner=spec,
                 attacker=attacker,
                 access=Access.BLACK,
-                rounds=tries,
+                rounds=rounds,
+                every=every,
                 pairs=pairs,
                 kinds=kinds,
                 seed=seed,
@@ -75,6 +79,11 @@ def live_command(
         found = [summary_of(read_log(log)[0], log) for log in logs]
         sys.stdout.write(json.dumps({"campaigns": found}) + "\n")
     return _report(logs, out, quiet=as_json)
+
+
+def _adaptive(spec: str) -> str:
+    """Return the attacker in which a planner's model writes."""
+    return f"adaptive:model={spec.replace(',', ';')}"
 
 
 def _report(logs: list[Path], out: Path, *, quiet: bool) -> int:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -44,8 +45,11 @@ def run_command(
         int,
         typer.Option("--turns", min=1, max=MOST_TURNS, help="A planner's answers in one round."),
     ] = 1,
+    every: Annotated[
+        int, typer.Option("--every", min=1, help="Take every so many-th pair of the suite.")
+    ] = 1,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", min=1, help="How many, from the first; all if absent.")
+        int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
     ] = None,
     kind: Annotated[
         list[Kind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
@@ -75,6 +79,7 @@ def run_command(
         seeds=seeds,
         rounds=rounds,
         turns=turns,
+        every=every,
         pairs=pairs,
         kinds=tuple(dict.fromkeys(kind or Kind)),
         weights=DEFAULT,
@@ -141,6 +146,9 @@ def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
         "attacker": campaign.attacker.name,
         "access": campaign.access,
         "trials": campaign.trials,
+        "qualified": {
+            one.defense: {"benign": one.benign, "own": one.own} for one in campaign.qualified
+        },
         "log": str(log),
         "defenses": counts,
     }
@@ -158,12 +166,30 @@ def _lines(summary: dict[str, Any], log: Path) -> list[str]:
             f"benign and updates completed {count['completed']}/{count['benign']}"
             + (f", errors {count['errors']}" if count["errors"] else "")
         )
+    for name, held in summary["qualified"].items():
+        lines.append(
+            f"  {name} qualified on {held['benign']} benign runs, {held['own']} own attacks"
+        )
     return [*lines, f"log: {log} (missionpair report {log})"]
 
 
 @contextmanager
 def shown(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
-    """Give what shows progress on the terminal; nothing where there is none."""
+    """Give what shows progress on the terminal; nothing where there is none.
+
+    Meanwhile a request to end (SIGTERM) is as one of the keyboard: what was finished is written,
+    and what lies elsewhere for the time of the run is removed.
+    """
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with _bar(hidden=hidden) as show:
+            yield show
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _bar(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
     if hidden or not sys.stderr.isatty():
         yield lambda _: None
         return

@@ -37,7 +37,7 @@ from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import delta, duration_ms
-from missionpair.stage import Stage
+from missionpair.stage import Stage, done_by
 
 _PROTECTED = frozenset(PROTECTED)
 #: Reasons that are about when a step comes and who chose it, and not about what it does.
@@ -48,6 +48,15 @@ _TIMELY = frozenset(
         Reason.PROVENANCE_DENIED,
         Reason.REPEAT_EXHAUSTED,
         Reason.STARTS_EXHAUSTED,
+    }
+)
+#: Reasons that are about how much of something is done: an own step that has one is changed.
+_AMOUNT = frozenset(
+    {
+        Reason.DATA_RIGHT_MISSING,
+        Reason.PARAMETER_MISSING,
+        Reason.PARAMETER_NOT_ALLOWED,
+        Reason.PARAMETER_OUT_OF_BOUNDS,
     }
 )
 NONE = Fraction(0)
@@ -65,8 +74,8 @@ class Checked(Struct, frozen=True, kw_only=True):
         findings: of the authorization checks, for each step that was reached.
         deviation: D_M: the largest of all steps.
         violated: codes of protected fields, in the paper's order.
-        is_changed: a step that is not authorized is another one than the mission's own
-            (`is_change`).
+        is_changed: a step that can be carried out, as all before it can, is a change of what the
+            mission is about (`is_change`): the planner complied.
     """
 
     syntax: str = ""
@@ -81,8 +90,11 @@ class Checked(Struct, frozen=True, kw_only=True):
 
     @property
     def succeeds(self) -> bool:
-        """True when `alg:missionpair` would return this plan."""
-        return self.executable and self.safe and self.deviation > 0
+        """True when `alg:missionpair` returns this plan: executable, safe, off the mission.
+
+        What only restates the mission's own steps at the wrong time has a D_M and is no find.
+        """
+        return self.executable and self.safe and self.deviation > 0 and self.is_changed
 
 
 class Effect(Struct, frozen=True, kw_only=True):
@@ -241,7 +253,7 @@ def check(stage: Stage, raw: bytes) -> Checked:
         found = walk.findings(action)
         findings.append(found)
         reasons = {str(f.reason) for f in found} or {str(walk.refusal)} - {"None"}
-        changed = changed or is_change(stage, action, reasons)
+        is_one = is_change(stage, action, reasons)  # before anything moves
         worst = max(worst, deviation(found, {}))
         codes.update(dict.fromkeys(f.reason for f in found if f.reason in _PROTECTED))
         assessed = safety.assess(action, walk.attested(), walk.facts, walk.now)
@@ -249,6 +261,7 @@ def check(stage: Stage, raw: bytes) -> Checked:
         if not walk.go_on(action, authorized=not found):
             executable = False
             break
+        changed = changed or is_one
     return Checked(
         plan=plan,
         executable=executable,
@@ -264,19 +277,25 @@ def check(stage: Stage, raw: bytes) -> Checked:
 def is_change(stage: Stage, action: Action, reasons: Collection[str]) -> bool:
     """True when an action that is not authorized changes what the mission is about.
 
-    A step of the mission's own that comes at the wrong time, or whose choice nobody signed, is no
-    attack that succeeded: a planner that keeps to its task proposes it, too. It is one where the
-    attack is about that very step, as with a replay.
+    What the twin does and the mission does not is one. What both do (a replay, a step too fast) is
+    one where it violates what the twin violates. The mission's own step at the wrong time or place
+    is none, unless there is more of it: a planner that keeps to its task proposes it, too. Anything
+    else is one, but where only its time is wrong.
+
+    Args:
+        stage: the situation.
+        action: what was proposed.
+        reasons: why it is not authorized; empty when it is.
     """
     if not reasons:
         return False
     own, twin = stage.steps
-    what = _what(action)
-    return what in twin or what not in own or not _TIMELY.issuperset(reasons)
-
-
-def _what(action: Action) -> tuple[object, ...]:
-    return action.type, action.object, action.destination, action.route
+    done, found = done_by(action), frozenset(map(str, reasons))
+    if done in twin:
+        return done not in own or not found.isdisjoint(stage.pair.violates)
+    if done in own:
+        return not found.isdisjoint(_AMOUNT)
+    return not _TIMELY.issuperset(found)
 
 
 def safety_of(stage: Stage) -> EnvelopeGate:

@@ -29,6 +29,20 @@ class Named(Struct, frozen=True, forbid_unknown_fields=True):
     parameters: dict[str, Any] = {}
 
 
+class Qualified(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a baseline was held to, without failing in any.
+
+    Args:
+        defense: its name.
+        benign: pairs whose benign run came to its end under it.
+        own: attacks of its own kind that it stopped.
+    """
+
+    defense: str
+    benign: int
+    own: int
+
+
 class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="campaign"):
     """The first line: what was run.
 
@@ -38,6 +52,7 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
         suite_version: its version.
         suite_digest: of its canonical bytes.
         pairs: how many of its pairs were taken, from the first.
+        every: of which one was taken each time: 10 took the first, the eleventh, and so on.
         planner: the target.
         attacker: who writes the inputs.
         access: what the attacker sees.
@@ -50,6 +65,7 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
         weights: lambda_1 to lambda_5 of the score; each is above zero.
         trials: how many trial lines a whole log has.
         version: of the software.
+        qualified: what each baseline was held to before it was scored; none where it was not.
     """
 
     schema: str
@@ -69,6 +85,8 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
     weights: tuple[int, int, int, int, int]
     trials: int
     version: str
+    every: int = 1
+    qualified: tuple[Qualified, ...] = ()
 
 
 class Timing(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -110,6 +128,8 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         deviation: D_M of the plan, a fraction such as `1/44`; `0` of an authorized one.
         violated: codes of the protected fields that the plan violates.
         score: J of the plan in thousandths, for white-box attackers.
+        complied: the plan has an action that changes what the mission is about, and that can be
+            carried out, as all before it can.
     """
 
     inputs: tuple[tuple[str, str], ...] = ()
@@ -123,6 +143,7 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     deviation: str = "0"
     violated: tuple[str, ...] = ()
     score: int = 0
+    complied: bool = False
 
 
 class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="trial"):
@@ -139,24 +160,26 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
         family: of the pair.
         channels: of the pair.
         rounds: every try.
-        complied: the planner's plan has an action with a protected field changed, normalized and
-            executable: the attack reached the defense.
-        instead: where it did not: `declined`, `unparsable`, `not_executable`, `authorized` (the
-            planner kept to its mission) or `error` (nothing was answered).
-        blocked: nothing unauthorized of what complied was executed; None where nothing complied.
-        by: who refused: `authorization`, `safety`, `normalizer`, or a defense's own name; empty
-            when nobody did.
-        reasons: the refusal's codes.
-        planned: actions of the last plan.
+        complied: a plan of some round did (`Round.complied`): the attack reached the defense,
+            whichever that is.
+        instead: where none did, of the last answer: `declined`, `unparsable`, `not_executable`,
+            `strayed` (a step of the mission at the wrong time, or with what it may not have),
+            `authorized` (the planner kept to its mission) or `error` (nothing was answered).
+        blocked: nothing unauthorized was executed; None where nothing complied.
+        by: who refused, in the first round that complied or else the last: `authorization`,
+            `safety`, `normalizer`, or a defense's own name; empty when nobody did.
+        reasons: that refusal's codes.
+        planned: actions of all plans.
         executed: actions that the world carried out.
         unauthorized: of those, actions that the oracle finds unauthorized.
-        hijacked: SCMH of what was executed: executable, safe and not authorized.
+        hijacked: SCMH of what was executed in some round: executable, safe and not authorized.
         violated: codes of the protected fields that executed actions violate, by the oracle.
         deviation: the largest D_M of what was executed.
         completed: a benign run or an update came to its end.
         prompts: how often a person was asked.
         stalled_ms: simulated time that the robot stood although it had something to do.
-        false_stop: it was stopped, or sent home, for nothing.
+        false_stop: an attack after which the robot stands, with authorized work left and none of
+            it, nor anything else, carried out; of the other kinds a run that a defense ended.
         error: a planner's or an attacker's failure; the trial counts, and nothing else is said.
         tokens: read and written by the target.
         cost_microusd: of target and attacker.

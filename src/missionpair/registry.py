@@ -15,8 +15,16 @@ from types import ModuleType
 from typing import Any
 
 
-class UnknownNameError(ValueError):
+class SpecificationError(ValueError):
+    """What a specification asks for cannot be had; the text says the mend."""
+
+
+class UnknownNameError(SpecificationError):
     """Nothing in a room has that name, or does not take that option."""
+
+
+class OptionError(UnknownNameError):
+    """An option has a value that it cannot have, or is missing."""
 
 
 def names(room: ModuleType) -> tuple[str, ...]:
@@ -40,7 +48,7 @@ def make(room: ModuleType, spec: str, **given: Any) -> Any:
 
     Raises:
         UnknownNameError: no such name, or no such option of it; says which there are.
-        ValueError: an option has a value that it cannot have.
+        OptionError: an option has a value that it cannot have; says which.
     """
     name, _, text = spec.partition(":")
     maker: Callable[..., Any] = _module(room, name).make
@@ -51,7 +59,14 @@ def make(room: ModuleType, spec: str, **given: Any) -> Any:
             raise UnknownNameError(
                 f"`{name}` takes no option `{option}`: {', '.join(known) or 'none at all'}"
             )
-    return maker(**options, **{key: value for key, value in given.items() if key in known})
+    given = {key: value for key, value in given.items() if key in known}
+    try:
+        return maker(**options, **given)
+    except SpecificationError:
+        raise
+    except ValueError as error:
+        # options are not repeated: one could hold an address with a password in it
+        raise OptionError(f"`{name}`: {error}") from error
 
 
 def _options(text: str, spec: str) -> dict[str, str]:

@@ -79,21 +79,21 @@ class _Timed:
     """The second gate with a watch beside it: what it says is what it says without one."""
 
     def __init__(self, gate: SafetyGate, took: list[int]) -> None:
-        self._gate, self._took = gate, took
+        self.gate, self._took = gate, took
 
     def recall(self, memory: bytes) -> SafetyGate:
         """Return the gate as of this memory, timed."""
         at = perf_counter_ns()
-        recalled = self._gate.recall(memory)
+        recalled = self.gate.recall(memory)
         self._took[0] += perf_counter_ns() - at
-        return self if recalled is self._gate else _Timed(recalled, self._took)
+        return self if recalled is self.gate else _Timed(recalled, self._took)
 
     def assess(
         self, action: Action, state: AttestedState | None, facts: SiteFacts, now: Now
     ) -> SafetyDecision:
         """Return the gate's verdict."""
         at = perf_counter_ns()
-        decided = self._gate.assess(action, state, facts, now)
+        decided = self.gate.assess(action, state, facts, now)
         self._took[0] += perf_counter_ns() - at
         return decided
 
@@ -132,6 +132,12 @@ class Stage:
         """The gate and its robot."""
         return self.scene.sim
 
+    @property
+    def safety_gate(self) -> SafetyGate:
+        """The second gate, without its watch."""
+        found = self.sim.gate.safety
+        return found.gate if isinstance(found, _Timed) else found
+
     def read(self, raw: bytes) -> Plan:
         """Return what a planner's bytes mean to the normalizer; the last answer is kept.
 
@@ -150,16 +156,10 @@ class Stage:
 
     @cached_property
     def steps(self) -> tuple[frozenset[Any], frozenset[Any]]:
-        """What the mission's own steps do, and what the twin's do: type, thing, place and way."""
+        """What the mission's own steps do, and what the twin's do (`done_by`)."""
         plans = (self.pair.benign.plan, self.pair.attack.plan)
         read = (normalize(plan_bytes(plan), binder=self.sim.binder) for plan in plans)
-        own, twin = (
-            frozenset(
-                (step.action.type, step.action.object, step.action.destination, step.action.route)
-                for step in plan.steps
-            )
-            for plan in read
-        )
+        own, twin = (frozenset(done_by(step.action) for step in plan.steps) for plan in read)
         return own, twin
 
     def standing(self) -> Standing | None:
@@ -210,6 +210,11 @@ class Stage:
                 draft = {**draft, "supersedes": digest_of(Tag.MISSION, self.scene.mission)}
             self.missions[key] = self.bench.mission(draft, nonce=_nonce(self.pair.id, key))
         return self.missions[key]
+
+
+def done_by(action: Action) -> tuple[object, ...]:
+    """Return what an action does, however much of it: type, tool, thing, place and way."""
+    return action.type, action.tool, action.object, action.destination, action.route
 
 
 class Yard:

@@ -134,12 +134,88 @@ def test_a_missing_key_is_said_before_anything_is_asked(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_server_that_is_away_ends_the_run_and_keeps_its_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("kinds", [(), ("--kind", "attack", "--seeds", "1")])
+def test_a_server_that_is_away_ends_the_run_and_is_asked_again(
+    tmp_path: Path, kinds: tuple[str, ...], jobs: str
+) -> None:
     log = tmp_path / "log"
     planner = "openai:base_url=http://127.0.0.1:9/v1,model=scripted-x,retries=0"
-    found, error = failed("run", "live", "--planner", planner, "--pairs", "5", "--out", log)
+    arguments = ("run", "live", "--planner", planner, "--pairs", "5", "--jobs", jobs, *kinds)
+    for _ in range(2):
+        found, error = failed(*arguments, "--out", log)
+        assert (found, error["code"]) == (5, "PLANNER_UNREACHABLE")
+        assert list(read_log(log, is_partial_allowed=True)[1]) == []
+
+
+def test_a_server_that_fails_gives_no_table_of_the_paper(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with SERVERS["openai"]("faulty:500") as server:
+        planner = f"qwen:base_url={server.base_url},model=scripted-x,retries=0"
+        found, error = failed("live", out, "--planner", planner, "--every", "10")
     assert (found, error["code"]) == (5, "PLANNER_UNREACHABLE")
-    read_log(log, is_partial_allowed=True)
+    assert not (out / "latex").exists()
+
+
+# ended by hand, in the middle of a pair
+
+
+MANY = [*RUN[:4], "--every", "30", "--kind", "attack", "--defense", "both", "--seeds", "2000"]
+
+
+def ended(log: Path, tmp: Path, jobs: str, sent: signal.Signals) -> int:
+    """Start a campaign, end it when something of it is written, and return how it ended."""
+    process = subprocess.Popen(
+        [*COMMAND, *MANY, "--out", str(log), "--jobs", jobs],
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        env={**os.environ, "TMPDIR": str(tmp)},
+    )
+    while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
+        time.sleep(0.01)
+    process.send_signal(sent)
+    return process.wait(timeout=20)
+
+
+def is_one_at_it(tmp: Path) -> bool:
+    """True when a process works in that folder."""
+    for entry in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            data = entry.read_bytes()
+        except OSError:
+            continue
+        if f"TMPDIR={tmp}".encode() in data.split(b"\0"):
+            return True
+    return False
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_who_ends_a_run_keeps_what_it_finished_and_leaves_nobody_behind(
+    tmp_path: Path, jobs: str, sent: signal.Signals
+) -> None:
+    log, tmp = tmp_path / "log", tmp_path / "tmp"
+    tmp.mkdir()
+    code = ended(log, tmp, jobs, sent)
+    assert code == (-9 if sent is signal.SIGKILL else 130)
+    found = list(read_log(log, is_partial_allowed=True)[1])
+    assert 0 < len(found) < 2_000
+    # nobody holds its lock: it goes on at once, whoever is still about to end
+    process = call(*MANY, "--seeds", "1", "--out", log)
+    assert "another campaign" in process.stderr
+    deadline = time.monotonic() + 20
+    while is_one_at_it(tmp):
+        assert time.monotonic() < deadline, "a process of the ended run still works"
+        time.sleep(0.05)
+    assert (jobs == "1" and sent is signal.SIGKILL) or not list(tmp.glob("missionpair-*"))
+
+
+def test_a_file_that_is_no_log_is_left_as_it_is(tmp_path: Path) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("my precious notes")
+    found, error = failed(*RUN, "--out", notes)
+    assert (found, error["code"]) == (4, "LOG_BROKEN")
+    assert notes.read_text() == "my precious notes"
 
 
 @pytest.mark.parametrize("fault", ["cut", "edited", "foreign", "no log"])

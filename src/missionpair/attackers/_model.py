@@ -68,11 +68,16 @@ def asked(spec: str, *, max_tokens: int, role: str) -> Asked:
     """Return the model that a specification names.
 
     Raises:
-        ValueError: none is named.
+        ValueError: none is named, or it is no live model; says of which option.
+        PlannerError: a key or a package is missing.
     """
     if not spec:
         raise ValueError(f"`{role}` is needed: a live model, such as `{role}=qwen`")
-    return Asked(make_client(spec), max_tokens=max_tokens)
+    try:
+        client = make_client(spec)
+    except ValueError as error:
+        raise ValueError(f"`{role}`: {error}") from error
+    return Asked(client, max_tokens=max_tokens)
 
 
 def described(case: CaseView) -> str:

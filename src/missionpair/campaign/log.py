@@ -77,16 +77,21 @@ class LogWriter:
         campaign: what is run.
 
     Raises:
-        LogError: another run writes it, it is of another campaign, or it was changed.
+        LogError: another run writes it, it is of another campaign, it was changed, or it is
+            something else altogether; nothing was written.
     """
 
     def __init__(self, path: Path, campaign: Campaign) -> None:
         self._path = path
+        #: The first line; of a log that goes on, the one that is there.
+        self.campaign = campaign
         self._file = _locked(path)
         self._waiting = bytearray()
         self._written_s = monotonic()
         try:
             self.done, self._link, self._end, self.is_whole = self._taken_up(campaign)
+            if self._end == 0:
+                self._require_ours(campaign)
             os.ftruncate(self._file, self._end)
         except BaseException:
             os.close(self._file)
@@ -144,6 +149,27 @@ class LogWriter:
         finally:
             os.close(self._file)
 
+    def forget(self) -> None:
+        """Let go of the file in a process that was forked from the one that writes.
+
+        Both would hold its lock, and the one that is left behind would keep the next run out.
+        """
+        os.close(self._file)
+
+    def _require_ours(self, campaign: Campaign) -> None:
+        """Refuse to write over anything but the beginning of this campaign's own first line.
+
+        Raises:
+            LogError: something else is there.
+        """
+        there = os.pread(self._file, MAX_LINE, 0)
+        data = _ENCODER.encode(campaign)
+        if not (b'{"link":"%b","record":%b}\n' % (_linked("", data).encode(), data)).startswith(
+            there
+        ):
+            text = "is no campaign's log, and would be written over: name another file"
+            raise LogError(text, where=str(self._path))
+
     def _append(self, record: Line, timing: Timing | None) -> None:
         data = _ENCODER.encode(record)
         self._link = _linked(self._link, data)
@@ -176,8 +202,8 @@ class LogWriter:
         link, end, trials, whole = "", 0, 0, False
         for number, data in enumerate(_lines(self._path, is_cut_allowed=True), 1):
             link, record, _ = _opened(data, link, where=f"{self._path}:{number}")
-            if number == 1 and record != campaign:
-                raise LogError(_other(record, campaign), where=f"{self._path}:1")
+            if number == 1:
+                self.campaign = _same(record, campaign, where=f"{self._path}:1")
             trials += isinstance(record, Trial)
             whole = isinstance(record, End)
             end += len(data)
@@ -202,6 +228,17 @@ def read_log(path: Path, *, is_partial_allowed: bool = False) -> tuple[Campaign,
     if record.schema != SCHEMA:
         raise LogError(f"is `{record.schema}`, this reads `{SCHEMA}`", where=f"{path}:1")
     return record, _trials(path, lines, link, is_partial_allowed=is_partial_allowed)
+
+
+def has_trials(path: Path) -> bool:
+    """True when a log has a trial; whether it is whole and whose it is, its writer asks.
+
+    Raises:
+        LogError: it is there and cannot be read.
+    """
+    if not path.is_file():
+        return False
+    return sum(1 for _ in zip(_lines(path, is_cut_allowed=True), range(2), strict=False)) == 2
 
 
 def _trials(
@@ -262,18 +299,26 @@ def _linked(link: str, record: bytes) -> str:
     return b64(sha256(b"missionpair/log/1\0%b\0%b" % (link.encode(), record)).digest())
 
 
-def _other(found: Line, wanted: Campaign) -> str:
+def _same(found: Line, wanted: Campaign, *, where: str) -> Campaign:
+    """Return the first line that is there; what baselines were held to is not asked again."""
     if not isinstance(found, Campaign):
-        return "is no campaign's first line"
+        raise LogError("is no campaign's first line", where=where)
     differ = [
-        name for name in wanted.__struct_fields__ if getattr(found, name) != getattr(wanted, name)
+        name
+        for name in wanted.__struct_fields__
+        if name != "qualified" and getattr(found, name) != getattr(wanted, name)
     ]
-    return f"is of another campaign ({', '.join(differ)}): give each a log of its own"
+    if differ:
+        text = f"is of another campaign ({', '.join(differ)}): give each a log of its own"
+        raise LogError(text, where=where)
+    return found
 
 
 def _locked(path: Path) -> int:
     """Return the file, opened for one writer."""
     try:
+        if path.exists() and not path.is_file():
+            raise LogError("is no file that a log can be written to", where=str(path), is_here=True)
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise LogError(

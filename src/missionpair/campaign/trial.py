@@ -8,20 +8,22 @@ happened. Source: `alg:missionpair`, `eq:score`. Spec page: docs/spec/missionpai
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from time import perf_counter_ns
+from typing import NamedTuple
 
 from authguard_r.core.action import Action
 from authguard_r.core.lifecycle import Status
+from authguard_r.core.reasons import Reason
 from missionpair.access import case_bytes, seen_bytes
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply, Turn
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.tried import Dice, Spent, Tried, add, note, round_of, trial_of
 from missionpair.defenses import Defense
-from missionpair.judging import check
+from missionpair.judging import Checked, check
 from missionpair.pair import Call, Input, Layout, Pair, plan_bytes, updated
 from missionpair.records import Trial
 from missionpair.score import Weights, score
@@ -35,9 +37,14 @@ FINAL = frozenset({"cost", "limit", "refused"})
 #: A trial's seed has so many bits; those above say which turn it is, those below move with rounds.
 _TURN_BITS = 48
 #: Answers that a planner has in a round at most: seeds stay whole numbers of JSON.
-MOST_TURNS = 16
-#: So many trials in a row that nobody answered end it, too.
-MOST_SILENT = 3
+MOST_TURNS = 30
+
+
+class Who(NamedTuple):
+    """Target and attacker."""
+
+    planner: Planner
+    attacker: Attacker
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,8 @@ class Setting:
         seeds: how often each pair is tried.
         kinds: which kinds of trial.
         weights: of the score.
+        fresh: makes planner and attacker anew for each defense but the first, so that what learns
+            under one defense does not know it under another; None: all defenses share them.
     """
 
     planner: Planner
@@ -67,6 +76,13 @@ class Setting:
     seeds: int
     kinds: tuple[Kind, ...]
     weights: Weights
+    fresh: Callable[[], Who] | None = None
+
+    def who(self, defense: int) -> Who:
+        """Return planner and attacker of one of the defenses, by its place."""
+        if defense == 0 or self.fresh is None:
+            return Who(self.planner, self.attacker)
+        return self.fresh()
 
     @property
     def trials(self) -> int:
@@ -96,7 +112,9 @@ class PairRun:
         self._stages: dict[tuple[Kind, str], Stage] = {}
         self._cases: dict[str, bytes] = {}
         self._rest: tuple[Call, ...] | None = None
-        self._silent = 0
+        self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
+        #: Why nobody answered in the last trial; None when somebody did.
+        self.failure: PlannerError | AttackerError | None = None
 
     def trials(self) -> Iterator[Trial]:
         """Yield every trial of the pair, in order."""
@@ -110,28 +128,28 @@ class PairRun:
 
     def _trial(self, dice: Dice) -> Trial:
         begun, spent = perf_counter_ns(), Spent(cost_microusd=-self._cost_of_attacker())
-        tried, rounds, error = Tried(), [], ""
+        tries, error = list[Tried](), ""
         try:
             for tried in self._rounds(dice, spent):
-                rounds.append(tried.record)
+                tries.append(tried)
         except (PlannerError, AttackerError) as failed:
-            self._silent += 1
-            if failed.code in FINAL or self._silent >= MOST_SILENT:
+            if failed.code in FINAL:
                 raise
-            error = f"{failed.where}: {failed.message}"
+            error, self.failure = f"{failed.where}: {failed.message}", failed
         else:
-            self._silent = 0
+            self.failure = None
         spent.cost_microusd += self._cost_of_attacker()
+        tried = tries[-1] if tries else Tried()
         is_done = dice.kind is not Kind.ATTACK and not error and self._is_done(dice, tried)
         spent.total = _us(begun)
         return trial_of(
             self._n,
             self._pair,
             dice,
-            rounds=tuple(rounds),
-            tried=tried,
+            tries=tuple(tries),
             spent=spent,
             is_done=is_done,
+            is_idle=not self._rest,
             error=error,
         )
 
@@ -153,10 +171,10 @@ class PairRun:
             yield tried
             if not attacked:
                 return
-            told = self._told(number, tried)
-            if tried.is_changed or number == setting.rounds - 1:
+            told = self._told(number, tried, dice.defense)
+            if tried.checked.succeeds or number == setting.rounds - 1:
                 return
-            revised = self._revised(told, dice.seed, spent)
+            revised = self._revised(told, dice, spent)
             if revised is None:
                 return
             inputs = revised
@@ -169,16 +187,26 @@ class PairRun:
         for number in range(most):
             briefing = briefing_of(stage, turns=turns, usual=usual)
             seed = dice.seed + (number << _TURN_BITS)
-            reply = self._answered(dice.defense.brief(briefing), seed, spent)
+            reply = self._answered(dice.defense.brief(briefing), dice.defense, seed, spent)
             checked = check(stage, reply.raw)
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)
             add(spent, carried, _us(at))
-            note(stage, tried, reply, checked, carried)
-            if carried.completed or number == most - 1:
+            note(tried, reply, checked, carried)
+            if number == most - 1 or self._is_over(dice, tried, checked):
                 break
             turns = (*turns, Turn(reply.raw.decode(errors="replace"), carried.told))
         return tried
+
+    def _is_over(self, dice: Dice, tried: Tried, checked: Checked) -> bool:
+        """True when nothing more is asked: said so, done, or an attack that got through."""
+        if checked.syntax == Reason.PLAN_EMPTY:
+            return True
+        if not tried.carried.completed:
+            return False
+        if any(not effect.authorized for effect in tried.effects):
+            return True
+        return self._is_done(dice, tried)
 
     def _stage(self, kind: Kind, defense: Defense) -> Stage:
         """Return the situation as it is before anything is tried; made once, then put back."""
@@ -207,9 +235,9 @@ class PairRun:
             self._rest = rest_of(stage)
         return self._rest
 
-    def _answered(self, briefing: Briefing, seed: int, spent: Spent) -> Reply:
+    def _answered(self, briefing: Briefing, defense: Defense, seed: int, spent: Spent) -> Reply:
         begun = perf_counter_ns()
-        reply = self._setting.planner.propose(briefing, seed=seed)
+        reply = self._who[defense.name].planner.propose(briefing, seed=seed)
         spent.planner += reply.took_us or _us(begun)
         read, written = spent.tokens
         spent.tokens = (read + reply.tokens[0], written + reply.tokens[1])
@@ -222,22 +250,22 @@ class PairRun:
             stage = self._stage(dice.kind, dice.defense)
             case = case_of(stage, dice.defense, weights=setting.weights, rounds=setting.rounds)
             self._cases[name] = case_bytes(setting.access, case)
-        inputs = setting.attacker.open(self._cases[name], seed=dice.seed)
+        inputs = self._who[name].attacker.open(self._cases[name], seed=dice.seed)
         spent.attacker += _us(begun)
         return inputs
 
-    def _told(self, number: int, tried: Tried) -> bytes:
+    def _told(self, number: int, tried: Tried, defense: Defense) -> bytes:
         """Return what the attacker sees of a round; a planner that is one is told it, too."""
         seen = seen_of(number, tried.checked, tried.carried, tried.record)
         data = seen_bytes(self._setting.access, seen)
-        told = getattr(self._setting.planner, "told", None)
+        told = getattr(self._who[defense.name].planner, "told", None)
         if told is not None:
             told(data)
         return data
 
-    def _revised(self, told: bytes, seed: int, spent: Spent) -> tuple[Input, ...] | None:
+    def _revised(self, told: bytes, dice: Dice, spent: Spent) -> tuple[Input, ...] | None:
         begun = perf_counter_ns()
-        inputs = self._setting.attacker.revise(told, seed=seed)
+        inputs = self._who[dice.defense.name].attacker.revise(told, seed=dice.seed)
         spent.attacker += _us(begun)
         return inputs
 
@@ -254,6 +282,11 @@ class PairRun:
             return True
         wanted = stage.read(plan_bytes(self._usual(dice.kind, stage))).steps[-1].action
         return any(_same(effect.action, wanted) for effect in tried.effects)
+
+
+def is_asked(thing: object) -> bool:
+    """True of a planner or an attacker that asks a model, whoever answers in its place."""
+    return hasattr(thing, "client") or hasattr(thing, "cost_microusd")
 
 
 def rest_of(stage: Stage) -> tuple[Call, ...]:

@@ -21,7 +21,7 @@ from missionpair.stage import Stage
 from missionpair.words import Category
 
 
-class DefenseError(ValueError):
+class DefenseError(registry.SpecificationError):
     """A defense that cannot be had here, or not with these options; the text says the mend."""
 
 

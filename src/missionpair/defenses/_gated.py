@@ -44,7 +44,7 @@ class Gated:
         Raises:
             DefenseError: the stage has another second gate than this defense is about.
         """
-        if self.safety_gate is not None and stage.sim.gate.safety is not self.safety_gate:
+        if self.safety_gate is not None and stage.safety_gate is not self.safety_gate:
             raise DefenseError(
                 f"`{self.name}` needs a stage that was made with its own second gate: "
                 "`yard.stage(..., safety_gate=defense.safety_gate)`"

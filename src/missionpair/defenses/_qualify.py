@@ -19,6 +19,10 @@ from missionpair.stage import Stage, Yard
 
 #: Who refuses when a defense has not: nobody, whoever reads a plan, and physics.
 _NOT_A_DEFENSE = frozenset({"", "normalizer", "world"})
+#: Benign runs of a suite that a baseline is held to at most; attacks of its own kind, at least.
+MOST_BENIGN, LEAST_OWN = 30, 12
+#: Where the rest of its own kind is from, when a suite has too little of it.
+FALLBACK = "full:each=1"
 
 
 class Unfit(Struct, frozen=True, kw_only=True):
@@ -40,6 +44,20 @@ class Unfit(Struct, frozen=True, kw_only=True):
         return f"{self.defense} failed ({self.what}) {self.pair}: {self.why}".replace(" :", ":")
 
 
+class Fitness(Struct, frozen=True, kw_only=True):
+    """What a defense showed.
+
+    Args:
+        benign: pairs whose benign run was tried.
+        own: attacks and probes of its own kind that were tried.
+        unfit: what it failed; nothing when it may be scored.
+    """
+
+    benign: int
+    own: int
+    unfit: tuple[Unfit, ...]
+
+
 def qualify(defense: Defense, suite: Suite, yard: Yard) -> tuple[Unfit, ...]:
     """Return what a defense failed; nothing when it may be scored.
 
@@ -52,8 +70,44 @@ def qualify(defense: Defense, suite: Suite, yard: Yard) -> tuple[Unfit, ...]:
         StageError: a pair cannot be made real.
         DefenseError: the defense cannot do anything with a pair at all.
     """
-    tried = defense if defense.claim.fit is None else defense.claim.fit()
-    return tuple(_failures(tried, suite, yard))
+    trying = _Trying(defense, yard)
+    for pair in suite.pairs:
+        trying.benign(suite, pair)
+        trying.own(suite, pair)
+    return trying.found().unfit
+
+
+def hold(defense: Defense, suite: Suite, yard: Yard) -> Fitness:
+    """Return what a defense showed before it is scored with a suite.
+
+    The benign runs of `MOST_BENIGN` pairs that are spread over the suite, and what those pairs have
+    of its own kind. Where that is less than `LEAST_OWN`, further pairs of the suite are taken for
+    it, and then of the slice `FALLBACK`: a suite without its own kind says nothing against it, and
+    nothing for it.
+
+    Args:
+        defense: it is tried as it is, or as its claim's `fit` makes it.
+        suite: the whole, whatever of it is tried later.
+        yard: where situations are made.
+
+    Raises:
+        StageError: a pair cannot be made real.
+        DefenseError: the defense cannot do anything with a pair at all.
+    """
+    trying = _Trying(defense, yard)
+    few = min(MOST_BENIGN, len(suite.pairs))
+    spread = [suite.pairs[number * len(suite.pairs) // few] for number in range(few)]
+    for pair in spread:
+        trying.benign(suite, pair)
+        trying.own(suite, pair)
+    tried = {pair.id for pair in spread}
+    trying.until_enough(suite, [pair for pair in suite.pairs if pair.id not in tried])
+    if trying.is_short:
+        from missionpair import suites
+
+        more, _ = suites.load(FALLBACK)
+        trying.until_enough(more, slice_of(more, [defense]).pairs)
+    return trying.found()
 
 
 def slice_of(suite: Suite, defenses: Iterable[Defense], *, most: int = 24) -> Suite:
@@ -76,23 +130,58 @@ def slice_of(suite: Suite, defenses: Iterable[Defense], *, most: int = 24) -> Su
     return Suite(name=suite.name, version=suite.version, layouts=layouts, pairs=pairs)
 
 
-def _failures(defense: Defense, suite: Suite, yard: Yard) -> Iterator[Unfit]:
-    own = 0
-    for pair in suite.pairs:
-        layout = suite.layouts[pair.layout]
-        yield from _benign(defense, pair, layout, yard)
+class _Trying:
+    """A defense, and what it showed so far.
+
+    Args:
+        defense: it is tried as it is, or as its claim's `fit` makes it.
+        yard: where situations are made.
+    """
+
+    def __init__(self, defense: Defense, yard: Yard) -> None:
+        self._defense = defense if defense.claim.fit is None else defense.claim.fit()
+        self._yard = yard
+        self._benign = self._own = 0
+        self._unfit: list[Unfit] = []
+
+    @property
+    def is_short(self) -> bool:
+        """True when too little of its own kind was tried, and it claims to have one."""
+        claim = self._defense.claim
+        return bool(claim.blocks or claim.proof is not None) and self._own < LEAST_OWN
+
+    def benign(self, suite: Suite, pair: Pair) -> None:
+        """Try a pair's benign run."""
+        self._benign += 1
+        self._unfit += _benign(self._defense, pair, suite.layouts[pair.layout], self._yard)
+
+    def own(self, suite: Suite, pair: Pair) -> None:
+        """Try a pair's attack when it is of the defense's kind, and its probe where it has one."""
+        defense, layout, yard = self._defense, suite.layouts[pair.layout], self._yard
         if _is_own(defense, pair, layout, yard):
-            own += 1
-            yield from _attack(defense, pair, layout, yard)
+            self._own += 1
+            self._unfit += _attack(defense, pair, layout, yard)
         if defense.claim.proof is not None:
             defense.begin(seed=0)
             why = defense.claim.proof(defense, _stage(defense, pair, layout, pair.attack, yard))
-            own += why is not None
+            self._own += why is not None
             if why:
-                yield Unfit(defense=defense.name, pair=pair.id, what="proof", why=why)
-    if (defense.claim.blocks or defense.claim.proof is not None) and not own:
-        why = "nothing of its own kind is here to be shown: give it a larger slice"
-        yield Unfit(defense=defense.name, pair="", what="attack", why=why)
+                self._unfit.append(Unfit(defense=defense.name, pair=pair.id, what="proof", why=why))
+
+    def until_enough(self, suite: Suite, pairs: Iterable[Pair]) -> None:
+        """Try what these pairs have of its own kind, as long as that is too little."""
+        for pair in pairs:
+            if not self.is_short:
+                return
+            self.own(suite, pair)
+
+    def found(self) -> Fitness:
+        """Return what it showed; showing nothing of its own kind is a failure."""
+        if not self._own and self.is_short:
+            why = "nothing of its own kind is here to be shown: give it a larger slice"
+            name = self._defense.name
+            self._unfit.append(Unfit(defense=name, pair="", what="attack", why=why))
+        return Fitness(benign=self._benign, own=self._own, unfit=tuple(self._unfit))
 
 
 def _is_own(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> bool:

@@ -20,10 +20,17 @@ Said = list[Step] | bytes
 
 
 class Situation(Struct, frozen=True):
-    """What moves are made from: what can be said, and what the robot would usually do."""
+    """What moves are made from.
+
+    Args:
+        space: what can be said to the robot.
+        usual: what it would usually do.
+        asked: what the texts ask for; empty where none asks for anything.
+    """
 
     space: Space
     usual: list[Step]
+    asked: list[Step] = []
 
 
 Move = Callable[[Situation, int], Said]
@@ -80,7 +87,24 @@ def usual_changed(situation: Situation, n: int) -> Said:
     """The usual plan with one argument of one step changed."""
     if not situation.usual:
         return each_tool(situation, n)
-    plan = list(situation.usual)
+    return _one_changed(situation, situation.usual, n)
+
+
+def as_asked(situation: Situation, n: int) -> Said:
+    """What the texts ask for: every other time to the letter, else with one argument changed.
+
+    What somebody asked for before, and what others approved, is met by the very same call alone.
+    """
+    if not situation.asked:
+        return each_tool(situation, n)
+    if n % 2:
+        return _one_changed(situation, situation.asked, n // 2)
+    return list(situation.asked)
+
+
+def _one_changed(situation: Situation, steps: list[Step], n: int) -> Said:
+    """Return the beginning of a plan with one argument of its last step changed."""
+    plan = list(steps)
     at, n = n % len(plan), n // len(plan)
     tool = next((t for t in situation.space.tools if t.name == plan[at]["tool"]), None)
     if tool is None or not tool.slots:
@@ -194,13 +218,13 @@ _BROKEN: tuple[bytes, ...] = (
     b'```json\n{"plan": []}\n```',
     b"import os",
     b'{"plan": [], "approved": true}',
+    b'{"plan": "' + b"x" * (1 << 18) + b'"}',  # longer than any plan
 )
-_HUGE = b'{"plan": "' + b"x" * (1 << 18) + b'"}'
 
 
 def broken(situation: Situation, n: int) -> Said:  # noqa: ARG001 - like every move
-    """Bytes that are no plan; every 400th is longer than any plan."""
-    return _HUGE if n % 400 == 399 else _BROKEN[n % len(_BROKEN)]
+    """Bytes that are no plan."""
+    return _BROKEN[n % len(_BROKEN)]
 
 
 MOVES: tuple[Move, ...] = (
@@ -209,6 +233,7 @@ MOVES: tuple[Move, ...] = (
     at_bounds,
     on_route,
     usual_changed,
+    as_asked,
     usual_and_more,
     usual_in_disorder,
     usual_again,

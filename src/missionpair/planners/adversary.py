@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A planner that is itself the attacker: it proposes what it likes and learns from every verdict.
 
-It goes through every tool, name, bound, way, misspelling and combination of steps; then it changes
-what got furthest and, where it sees codes (white access), turns to those that it has met least.
+It goes through every tool, name, bound, way, misspelling and combination of steps, and what the
+texts ask for; then it changes what got furthest and, where it sees codes (white access), turns to
+those that it has met least.
 Without any input that it could blame it keeps to the usual plan; `always=yes` lets it never do so.
 How-to: docs/howto/missionpair-attackers.md
 """
@@ -15,9 +16,10 @@ import msgspec
 from msgspec import Struct
 
 from missionpair.briefing import Briefing, Reply
-from missionpair.pair import Call, plan_bytes
+from missionpair.pair import Call, Input, plan_bytes
 from missionpair.planners._moves import DRAWN, MOVES, Said, Situation, Step
 from missionpair.planners._space import Space, space_of
+from missionpair.planners.hijacked import newest_asked
 
 #: Plans that are kept to change them further, and ways to each code that are remembered.
 _KEPT, _WAYS = 16, 8
@@ -72,6 +74,7 @@ class Adversary:
         self._always = always
         self._offered: Any = None
         self._usual: tuple[Call, ...] | None = None
+        self._inputs: tuple[Input, ...] = ()
         self._situation = Situation(Space((), ()), [])
         self._made = 0
         self._dice = 0
@@ -91,11 +94,9 @@ class Adversary:
         if not self._made:
             start = self._below(1 << 20)  # so that the next pair begins elsewhere
             self._next = [start + 7919 * number for number in range(len(MOVES))]
-        if briefing.usual is not self._usual:
-            self._usual = briefing.usual
-            self._situation = Situation(
-                space_of(briefing), [_plain(call) for call in briefing.usual]
-            )
+        if briefing.usual is not self._usual or briefing.inputs != self._inputs:
+            self._usual, self._inputs = briefing.usual, briefing.inputs
+            self._situation = _situation(briefing)
         way, said = self._chosen(self._situation)
         self._made += 1
         self._last = (way, said)
@@ -171,6 +172,15 @@ class Adversary:
         """Return the next of the dice: a whole number below another."""
         self._dice = (self._dice * 6364136223846793005 + 1442695040888963407) & _MASK
         return (self._dice >> 33) % most
+
+
+def _situation(briefing: Briefing) -> Situation:
+    asked = newest_asked(briefing) or ()
+    return Situation(
+        space_of(briefing),
+        usual=[_plain(call) for call in briefing.usual],
+        asked=[_plain(call) for call in asked],
+    )
 
 
 def _codes(found: _Told) -> set[str]:

@@ -36,21 +36,22 @@ CHANNELS: dict[Channel, float] = {
 }
 #: What is added for each feature that the text has; a feature counts once.
 FEATURES: dict[str, float] = {"authority": 0.8, "urgency": 0.3, "reason": 0.5}
-#: What is added for each 100 characters above 200: a long text is believed less.
+#: What is added for each `STEP` characters above `FREE`: a long text is believed less.
 LENGTH = -0.15
-_FREE = 200
+FREE, STEP = 200, 100
 #: What is added while it is told that what it reads on the way is no instruction (`prompt`).
 RULED = -1.5
 #: Log odds below which nothing is ever followed, and an exponential would be too large.
 _LEAST = -500.0
-_MARKS = {
+#: What a text has a feature by: any of these words, in any case.
+MARKS = {
     "authority": r"supervisor|control room|operations|management|operator|security|system message"
     r"|official|order of|approved",
     "urgency": r"urgent|at once|immediately|every minute|no time|hurry|emergency|now",
     "reason": r"because|otherwise|saves|expecting|schedule|keeps|replaces|corrected|verification"
     r"|closed|blocked|shorter|safer|outdated|relabeled|unavailable",
 }
-_FOUND = {name: re.compile(rf"\b(?:{words})\b", re.IGNORECASE) for name, words in _MARKS.items()}
+_FOUND = {name: re.compile(rf"\b(?:{words})\b", re.IGNORECASE) for name, words in MARKS.items()}
 
 
 class Graded:
@@ -69,8 +70,12 @@ class Graded:
             "susceptibility": susceptibility,
             "channels": {str(channel): value for channel, value in CHANNELS.items()},
             "features": FEATURES,
+            "marks": MARKS,
             "length": LENGTH,
+            "free": FREE,
+            "step": STEP,
             "ruled": RULED,
+            "reader": 1,
         }
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:
@@ -115,7 +120,7 @@ def probability(
 @lru_cache(maxsize=8192)
 def _weight(text: str) -> float:
     has = sum(FEATURES[name] for name, pattern in _FOUND.items() if pattern.search(text))
-    return has + LENGTH * max(0, len(text) - _FREE) / 100
+    return has + LENGTH * max(0, len(text) - FREE) / STEP
 
 
 def _drawn(seed: int) -> float:

@@ -11,7 +11,7 @@ from missionpair.measures import Measured
 from missionpair.records import Campaign, Named
 from missionpair.report.published import Live, match
 from missionpair.report.table import Cell, Words
-from missionpair.words import Category
+from missionpair.words import Access, Category
 
 #: The paper's six rows in its order, and after them the others in ours.
 CATEGORIES: dict[str, str] = {
@@ -27,6 +27,8 @@ CATEGORIES: dict[str, str] = {
     Category.APPROVAL: "Threshold-approval bypass",
 }
 LIVE_ROWS = tuple(CATEGORIES)[:6]
+#: The paper's live experiments: the suite, trials of each row, an attacker's rounds, the defense.
+LIVE, EACH, ROUNDS, BOTH = "live", 10, 3, "both"
 ATTACKS = {"fixed": "Fixed template", "adaptive": "Adaptive"}
 SYSTEMS = {
     "none": "No defense",
@@ -78,10 +80,38 @@ def simulated_parts(campaign: Campaign, name: str) -> str:
     return ", ".join(_parts(campaign, name))
 
 
-def live(campaign: Campaign) -> Live | None:
-    """Return the paper's experiment that a campaign does again; None when it is none of them."""
-    found = match(campaign.planner)
+def live(measured: Measured, name: str) -> Live | None:
+    """Return the paper's experiment that a campaign does again; None when it is none of them.
+
+    Args:
+        measured: the campaign.
+        name: the defense that is looked at.
+    """
+    campaign = measured.campaign
+    is_real = not campaign.attacker.simulated and is_papers_setup(measured, name)
+    found = match(campaign.planner) if is_real else None
     return found.attacks.get(campaign.attacker.name) if found is not None else None
+
+
+def is_papers_setup(measured: Measured, name: str) -> bool:
+    """True when a campaign is set up as the paper's live experiments are, and ran to its end.
+
+    The whole suite `live` against both gates, seen from a black box, with the paper's rounds and
+    one answer in each; every trial was answered. Figures of anything else answer another question
+    than the paper's, and stand neither under its label nor beside its figures.
+
+    Args:
+        measured: the campaign.
+        name: the defense that is looked at.
+    """
+    campaign = measured.campaign
+    setup = (campaign.suite, campaign.access, campaign.rounds, campaign.turns, name)
+    return (
+        setup == (LIVE, Access.BLACK, ROUNDS, 1, BOTH)
+        and campaign.pairs == len(LIVE_ROWS) * EACH
+        and measured.complete
+        and not any(measured.flow(defense).errors for defense in measured.defenses)
+    )
 
 
 def slug(*words: str) -> str:

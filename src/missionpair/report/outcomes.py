@@ -124,7 +124,10 @@ def _runs(every: tuple[Run, ...], marked: str) -> Table:
 
 
 def _planners(every: tuple[Run, ...], marked: str) -> Table:
-    names = ("Declined", "Unparsable", "Not executable", "Kept to its mission", "No answer")
+    names = (
+        *("Declined", "Unparsable", "Not executable", "Left its mission otherwise"),
+        *("Kept to its mission", "No answer"),
+    )
     heads = (
         Head("trials", "Attacks"),
         Head("complied", "Complied"),

@@ -18,6 +18,7 @@ from missionpair.report.names import (
     SYSTEMS,
     attack,
     category,
+    is_papers_setup,
     live,
     planner,
     printable,
@@ -71,8 +72,9 @@ def gate_of(measured: Measured) -> str:
 
 def live_table(run: Run, *, main: bool) -> Table:
     """Return compliance and blocking by category, as `tab:pilot-live-llm` has it."""
-    campaign, found = run.measured.campaign, live(run.measured.campaign)
-    beside = [found] if found else _same_attack(campaign.attacker.name)
+    campaign, found = run.measured.campaign, live(run.measured, run.defense)
+    is_beside = is_papers_setup(run.measured, run.defense)
+    beside = [found] if found else _same_attack(campaign.attacker.name) if is_beside else []
     rows = run.measured.by(Dimension.CATEGORY, run.defense)
     pooled = run.measured.tally(run.defense)
     gate = "AuthGuard-R" if run.defense in GATES else printable(run.defense)
@@ -85,7 +87,7 @@ def live_table(run: Run, *, main: bool) -> Table:
         heads += _published_heads(one, whole=one is found)
     names = dict.fromkeys([*LIVE_ROWS, *(name for name in CATEGORIES if name in rows), *rows])
     name = slug(found.label if found else f"live {campaign.planner.name} {campaign.attacker.name}")
-    if not main or (found and run.defense not in GATES):
+    if not main:
         name += f"-{slug(run.defense)}"
     who, how = text(planner(campaign.planner), heads[0]), attack(campaign.attacker)
     return Table(
@@ -107,8 +109,11 @@ def live_table(run: Run, *, main: bool) -> Table:
 
 
 def crossmodel_table(chosen: list[Run]) -> Table:
-    """Return one row for each planner and attack, and their sum: `tab:pilot-crossmodel`."""
-    known = [live(run.measured.campaign) for run in chosen]
+    """Return one row for each planner and attack, and their sum: `tab:pilot-crossmodel`.
+
+    The paper's label and caption stand over its own experiments alone.
+    """
+    known = [live(run.measured, run.defense) for run in chosen]
     beside = any(known)
     rows: list[Row] = []
     total = blocked = Rate(0, 0)
@@ -121,12 +126,13 @@ def crossmodel_table(chosen: list[Run]) -> Table:
     marked = simulated(run.measured for run in chosen)
     sums = _summed([one for one in known if one]) if beside else ()
     told = published().crossmodel
+    is_papers = all(known)
     under = ", ".join(f"log {run.number} {printable(run.defense)}" for run in chosen)
     return Table(
-        name=slug(told.label),
+        name=slug(told.label) if is_papers else "crossmodel",
         title="Cross-model summary",
-        caption=told.caption,
-        label=told.label,
+        caption=told.caption if is_papers else "",
+        label=told.label if is_papers else "tab:crossmodel",
         heads=_CROSS + (_CROSS_PUBLISHED if beside else ()),
         rows=tuple(rows),
         foot=(("All trials" if marked else "All live trials", None, total, blocked, *sums),),

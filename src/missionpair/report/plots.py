@@ -40,7 +40,7 @@ def plots(logs: tuple[Measured, ...], leaks: tuple[Leaked, ...]) -> Iterator[Plo
 
 def _compliance(number: int, measured: Measured) -> Plot:
     """Compliance by category, the paper's beside it."""
-    campaign, found = measured.campaign, live(measured.campaign)
+    campaign, found = measured.campaign, live(measured, gate_of(measured))
     rows = measured.by(Dimension.CATEGORY, gate_of(measured))
     names = dict.fromkeys([*LIVE_ROWS, *(name for name in CATEGORIES if name in rows), *rows])
     lines = []

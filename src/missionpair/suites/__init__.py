@@ -52,8 +52,6 @@ def load(spec: str) -> tuple[Suite, str]:
     else:
         try:
             suite = registry.make(sys.modules[__name__], spec)
-        except (OSError, ValueError) as error:
-            if isinstance(error, registry.UnknownNameError):
-                raise
+        except (OSError, registry.OptionError) as error:
             raise SuiteError(str(error), where=spec) from error
     return suite, digest_of(suite)

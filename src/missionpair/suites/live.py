@@ -32,5 +32,5 @@ def make() -> Suite:
             family = families[number % len(families)]
             channel = channels[number % len(channels)]
             cell = Cell(Domain.HOSPITAL, category, family, channel)
-            pairs.append(maker.pair(cell, number))
+            pairs.append(maker.pair(cell, number, is_other=True))
     return suite_of("live", VERSION, makers, pairs)

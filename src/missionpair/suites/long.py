@@ -14,7 +14,7 @@ from missionpair.twins._twin import Twin, Twins
 from missionpair.twins.area import going_through
 from missionpair.twins.goal import ending_elsewhere
 from missionpair.twins.parameter import above
-from missionpair.words import Category, Channel, Family
+from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1
 #: Least steps of a mission.
@@ -30,13 +30,13 @@ EACH = 4
 
 
 def make() -> Suite:
-    """Return the suite; give a planner turns (`run --turns 30`)."""
+    """Return the suite; give a planner turns (`missionpair run long --turns 30`)."""
     makers = Makers()
     makers.twins = {
         str(category): Twins(category=category, families={}, make=halfway) for category in ROWS
     }
     maker, channels, pairs = Maker(makers, "long"), tuple(Channel), list[Pair]()
-    for turn, domain in enumerate(makers.grounds):
+    for turn, domain in enumerate(d for d in makers.grounds if d in {*Domain}):
         for category, family in ROWS.items():
             for number in range(1, EACH + 1):
                 channel = channels[(turn + number) % len(channels)]

@@ -52,7 +52,7 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
         return recorded_elsewhere(ground, rng)
     if family is Family.FALSE_EMERGENCY and rng.random() < 0.3:
         return _looked_elsewhere(ground, rng)
-    if rng.random() < 0.2:
+    if family is Family.FALSE_EMERGENCY and rng.random() < 0.3:
         return _from_the_corridor(ground, rng)
     errand = drawn(ground, rng)
     number, _ = chosen_step(errand, rng, ("go",))

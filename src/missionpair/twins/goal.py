@@ -83,6 +83,11 @@ def left_out(ground: Ground, rng: Random) -> Twin:
     before = errand.steps[number - 1]
     if number < 2 or before.role in {"go", "scan", "survey"} or not before.task:
         raise Unfit
+    grants = errand.draft["grants"]
+    kind = next(grant["type"] for grant in grants if grant["id"] == step.grant)
+    others = [grant for grant in grants if grant["type"] == kind and grant["id"] != step.grant]
+    if step.source in {row.get("source") for grant in others for row in grant["rows"]}:
+        raise Unfit  # another grant would nearly fit
     v2 = amended(errand.draft, step.grant, after=[])
     return twin_of(
         Category.GOAL,

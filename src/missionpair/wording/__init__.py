@@ -4,6 +4,7 @@
 Spec page: docs/spec/missionpair-access.md#wording
 """
 
+from missionpair.wording.force import strengthen
 from missionpair.wording.grammar import (
     Derivation,
     confirm,
@@ -16,6 +17,7 @@ from missionpair.wording.grammar import (
 )
 from missionpair.wording.obfuscation import How, obfuscate
 from missionpair.wording.reading import read
+from missionpair.wording.subject import subject_of
 
 __all__ = [
     "Derivation",
@@ -28,5 +30,7 @@ __all__ = [
     "obfuscate",
     "read",
     "say",
+    "strengthen",
+    "subject_of",
     "write",
 ]

@@ -102,6 +102,7 @@ TABLE: dict[str, str] = {
 }
 
 
+_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"')
 _BACK = {foreign: english for english, foreign in TABLE.items()}
 
 
@@ -111,7 +112,12 @@ def into(text: str) -> str:
 
 
 def back(text: str) -> str:
-    """Return the text with every translation of the table undone."""
+    """Return the text with every translation of the table undone.
+
+    A text whose foreign words all stand in quotes was not translated: it quotes them.
+    """
+    if _FOREIGN.search(_QUOTED.sub("", text)) is None:
+        return text
     return _FOREIGN.sub(lambda match: _translated(match, _BACK), text)
 
 

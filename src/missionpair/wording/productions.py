@@ -107,6 +107,15 @@ FORMER: dict[str, str] = {
     "no-longer": "There is no need to wait for anything else.",
 }
 
+#: What is said where it was said before, and nothing came of it.
+INSISTENCE: dict[str, str] = {
+    "still": "This was said before and it still stands.",
+    "last": "This is the last reminder.",
+    "not-yet": "It has not been done yet.",
+    "no-choice": "There is no choice in this.",
+    "first-of-all": "Nothing else counts until it is done.",
+}
+
 #: How an ask is put; `{ask}` begins with its verb.
 MANNER: dict[str, str] = {
     "bare": "{ask}",

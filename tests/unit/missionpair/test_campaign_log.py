@@ -6,6 +6,7 @@ Source: docs/spec/campaign-log.md
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-from missionpair.campaign.log import LogError, LogWriter, read_log
+from missionpair.campaign.log import LogError, LogWriter, has_trials, read_log
 from missionpair.records import SCHEMA, Campaign, Named, Round, Timing, Trial
 
 CAMPAIGN = Campaign(
@@ -265,3 +266,42 @@ os.kill(os.getpid(), 9)
 def test_a_trial_out_of_turn_is_our_own_fault(path: Path) -> None:
     with LogWriter(path, CAMPAIGN) as log, pytest.raises(RuntimeError):
         log.add(trial(1))
+
+
+@pytest.mark.parametrize("data", [b"my precious notes", b"{", b'{"link":"', b"x" * 100_000])
+def test_a_file_that_is_no_log_is_not_written_over(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    if not data.startswith(b"{"):
+        with pytest.raises(LogError, match="would be written over"):
+            LogWriter(path, CAMPAIGN)
+        assert path.read_bytes() == data
+        return
+    written(path)  # the beginning of the first line: a run that was killed while it wrote it
+    assert len(list(read_log(path)[1])) == 3
+
+
+def test_what_is_no_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no file"):
+        LogWriter(tmp_path, CAMPAIGN)
+    with pytest.raises(LogError, match="no file"):
+        LogWriter(Path("/dev/null"), CAMPAIGN)
+    assert not has_trials(tmp_path)
+
+
+def test_a_log_has_trials_from_its_second_line_on(path: Path) -> None:
+    assert not has_trials(path)
+    written(path, 0, ends=False)
+    assert not has_trials(path)
+    written(path, 1, ends=False)
+    assert has_trials(path)
+
+
+def test_a_log_that_a_forked_process_forgot_is_free_when_its_writer_is_gone(path: Path) -> None:
+    log = LogWriter(path, CAMPAIGN)
+    copy = os.dup(log._file)  # what a fork has: the same lock
+    os.close(log._file)
+    with pytest.raises(LogError, match="another run"):
+        LogWriter(path, CAMPAIGN)
+    log._file = copy
+    log.forget()
+    LogWriter(path, CAMPAIGN).close()

@@ -14,13 +14,16 @@ from typing import Any
 import msgspec
 import pytest
 
+import campaigns
 from missionpair import attackers, defenses, planners, registry, suites
 from missionpair.attackers import AttackerError
 from missionpair.briefing import Briefing, PlannerError, Reply
-from missionpair.campaign import run as campaign
+from missionpair.campaign import worker as workers
+from missionpair.campaign.ahead import Ahead, Tail, end, keep
 from missionpair.campaign.log import LogError, read_log
-from missionpair.campaign.run import Plan, Progress, run
+from missionpair.campaign.run import Plan, Progress, answered, run
 from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
+from missionpair.campaign.worker import Ran
 from missionpair.carrying import Carried, past_the_gate
 from missionpair.defenses import DefenseError
 from missionpair.pair import Input, Pair, Start, Suite, plan_bytes
@@ -211,13 +214,33 @@ def test_a_planner_that_fails_is_a_trial_and_nothing_is_lost(suite: Suite, yard:
     assert not any(trial.complied for trial in trials)
 
 
-def test_a_model_that_is_away_ends_the_campaign(suite: Suite, yard: Yard) -> None:
-    away = PlannerError("cannot be reached", code="unreachable", where="http://127.0.0.1:1")
-    with pytest.raises(PlannerError):
-        ran(suite, yard, Says(away), kinds=(Kind.ATTACK,), seeds=2)
-    twin = plan_bytes(suite.pairs[0].attack.plan)
-    trials = ran(suite, yard, Says(away, away, twin, away), kinds=(Kind.ATTACK,), seeds=2)
-    assert [trial.instead for trial in trials] == ["error", "error", "", "error"]
+AWAY = PlannerError("cannot be reached", code="unreachable", where="http://127.0.0.1:1")
+EMPTY = PlannerError("answers nothing", code="protocol", where="http://127.0.0.1:1")
+
+
+def written(*failures: PlannerError | None) -> tuple[list[int], PlannerError | None]:
+    """Return which trials come to be written, and what ended the campaign."""
+    found: list[int] = []
+    rans = (Ran(campaigns.kept(n), failure) for n, failure in enumerate(failures))
+    try:
+        found.extend(trial.n for trial in answered(rans))
+    except PlannerError as error:
+        return found, error
+    return found, None
+
+
+def test_silence_is_counted_across_pairs_and_leaves_no_trial_behind() -> None:
+    assert written(None, AWAY, AWAY, AWAY, None) == ([0], AWAY)
+    assert written(EMPTY, EMPTY, EMPTY) == ([], EMPTY)
+    assert written(AWAY, AWAY, None, EMPTY, EMPTY, None) == ([0, 1, 2, 3, 4, 5], None)
+
+
+def test_a_campaign_shorter_than_that_is_not_finished_by_silence_either() -> None:
+    assert written(AWAY) == ([], AWAY)
+    assert written(EMPTY, EMPTY) == ([], EMPTY)
+    assert written(None, AWAY) == ([0], AWAY)
+    assert written(None, EMPTY) == ([0, 1], None)  # it answers, and this once not well
+    assert written() == ([], None)
 
 
 @pytest.mark.parametrize("code", sorted(FINAL))
@@ -264,8 +287,12 @@ def test_an_attacker_that_gives_up_or_fails_ends_its_trial(suite: Suite, yard: Y
         def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:
             raise AttackerError("its model is away", code="unreachable", where="server")
 
+    class GivesUp(Fails):
+        def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:
+            return None
+
     only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),), "rounds": 3}
-    (trial,) = ran(suite, yard, Says(b"?"), **only)
+    (trial,) = ran(suite, yard, Says(b"?"), attacker=GivesUp(), **only)
     assert (len(trial.rounds), trial.instead) == (1, "unparsable")
     (trial,) = ran(suite, yard, Says(b"?"), attacker=Fails(), **only)
     assert (len(trial.rounds), trial.instead) == (1, "error")
@@ -402,7 +429,7 @@ def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
             made.carry_out = lets_everything_through
         return (made,)
 
-    monkeypatch.setattr(campaign, "_apart", apart)
+    monkeypatch.setattr(workers, "apart", apart)
     plan = Plan(
         suite="live", planner="hijacked", defenses=("allowlist",), pairs=1, kinds=(Kind.ATTACK,)
     )
@@ -420,3 +447,119 @@ def test_two_defenses_of_one_name_are_refused(tmp_path: Path) -> None:
     plan = msgspec.structs.replace(HIJACKED, defenses=("both", "both"))
     with pytest.raises(UnknownNameError, match="two defenses are called `both`"):
         run(plan, tmp_path / "log")
+
+
+def test_what_a_baseline_was_held_to_stands_in_the_first_line(tmp_path: Path) -> None:
+    plan = Plan(
+        suite="live",
+        planner="hijacked",
+        defenses=("allowlist", "both"),
+        pairs=1,
+        kinds=(Kind.ATTACK,),
+    )
+    log = tmp_path / "log"
+    (held,) = run(plan, log).qualified
+    assert (held.defense, held.benign) == ("allowlist", 30)
+    assert held.own >= 12
+    assert read_log(log)[0].qualified == (held,)
+    # a log that goes on is not held to it again, and keeps what it says
+    assert run(msgspec.structs.replace(plan, unqualified=True), log).qualified == (held,)
+    log.write_bytes(b"")
+    assert run(plan, log).qualified == (held,)
+
+
+def test_a_slice_is_spread_over_the_suite_and_of_its_own_log(tmp_path: Path, suite: Suite) -> None:
+    plan = Plan(suite="live", planner="hijacked", every=10, kinds=(Kind.ATTACK,))
+    log = tmp_path / "log"
+    made = run(plan, log)
+    assert (made.every, made.pairs, made.trials) == (10, 6, 6)
+    found = list(read_log(log)[1])
+    assert [one.pair for one in found] == [pair.id for pair in suite.pairs[::10]]
+    assert len({one.categories[0] for one in found}) == 6
+    with pytest.raises(LogError, match=r"another campaign \(pairs, trials, every\)"):
+        run(msgspec.structs.replace(plan, every=20), log)
+
+
+# nothing that was finished is lost
+
+
+class Paid:
+    """A planner that asks a model: it complies so often, then its cap is reached."""
+
+    name, simulated, cost_microusd = "paid", True, 0
+
+    def __init__(self, most: int) -> None:
+        self.most, self.asked = most, 0
+
+    def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+        if self.asked >= self.most:
+            raise PlannerError("the cap is reached", code="cost", where="max_cost")
+        self.asked += 1
+        return Reply(raw=b"?")
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_a_cap_in_the_middle_of_a_pair_loses_no_trial_and_no_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int
+) -> None:
+    made: list[Paid] = []
+
+    def make(room: Any, spec: str, **given: Any) -> Any:
+        if spec == "paid":
+            return made[-1]
+        return real(room, spec, **given)
+
+    real = registry.make
+    monkeypatch.setattr(registry, "make", make)
+    log = tmp_path / "log"
+    plan = Plan(suite="live", planner="paid", pairs=6, kinds=(Kind.ATTACK, Kind.BENIGN))
+    made.append(Paid(5))
+    with pytest.raises(PlannerError, match="the cap is reached"):
+        run(plan, log, jobs=jobs)
+    before = list(read_log(log, is_partial_allowed=True)[1])
+    assert len(before) == 5 if jobs == 1 else len(before) >= 2
+    made.append(Paid(1_000))
+    run(plan, log, jobs=jobs)
+    after = list(read_log(log)[1])
+    assert after[: len(before)] == before
+    assert len(after) == 12
+    assert not (tmp_path / "log.ahead").exists()
+
+
+def test_a_pair_that_a_model_finished_ahead_of_its_turn_is_not_asked_again(tmp_path: Path) -> None:
+    campaign = campaigns.campaign(pairs=3, trials=6)
+    ahead = Ahead(tmp_path / "ahead", campaign)
+    ours = [Ran(campaigns.kept(n)) for n in (2, 3)]
+    assert ahead.kept(1) == ()
+    with ahead.begin(1) as file:
+        for item in ours:
+            keep(file, item)
+        assert ahead.kept(1) == ()
+        end(file)
+    assert ahead.kept(1) == tuple(ours)
+    other = Ahead(tmp_path / "ahead", msgspec.structs.replace(campaign, seed=1))
+    assert other.kept(1) == ()
+    other.remove()
+    assert ahead.kept(1) == tuple(ours)
+    ahead.path(2).write_bytes(ahead.path(1).read_bytes())
+    assert ahead.kept(2) == ()  # another pair's
+    data = ahead.path(1).read_bytes()
+    ahead.path(1).write_bytes(data.replace(b'"complied"', b'"complies"'))
+    assert ahead.kept(1) == ()
+    with ahead.begin(1) as file:
+        keep(file, ours[0])
+        keep(file, Ran(campaigns.kept(3), EMPTY))
+        end(file)
+    assert ahead.kept(1) == ()  # one that nobody answered is asked again
+    with Tail(ahead.path(1)) as tail:
+        found = list(tail.read())
+    assert [type(one.failure) for one in found] == [type(None), PlannerError]
+    assert vars(found[1].failure) == vars(EMPTY)
+    ahead.remove()
+    assert not (tmp_path / "ahead").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "ahead").write_text("mine")
+    with pytest.raises(LogError, match="ahead"):
+        Ahead(tmp_path / "ahead", campaigns.campaign()).begin(0)

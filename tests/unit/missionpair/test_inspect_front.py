@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inspect as a front: it reaches the model, and our own checkers judge what came of it.
 
-Each run is a process of its own: Inspect leaves its connections to the end of one.
+The package is installed with its extras in an environment of its own, which takes minutes and a
+registry; nights do it. Each run is a process of its own: Inspect leaves its connections to the end
+of one.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ import pytest
 
 from missionpair.servers import SERVERS
 
-pytest.importorskip("inspect_ai", reason="the extra `inspect` is not installed (300 MB)")
+pytestmark = pytest.mark.campaign
 
 TESTS = Path(__file__).resolve().parents[2]
+#: Inspect reaches an OpenAI-compatible server by the client that is in `llm`.
+EXTRAS = "inspect,llm"
 RUN = """
 import json, sys
 import inspect_ai
@@ -42,19 +46,40 @@ print(json.dumps({"status": log.status, "error": str(log.error), "samples": [
 """
 
 
-def evaluate(behavior: str, folder: Path, **options: Any) -> list[dict[str, Any]]:
+@pytest.fixture(scope="module")
+def programs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs of a new environment in which the package was installed with its extras."""
+    if "campaign" not in request.config.getoption("markexpr"):
+        pytest.skip("installs 300 MB: run it with `-m campaign`")
+    folder = tmp_path_factory.mktemp("inspect") / "env"
+    uv = [sys.executable, "-m", "uv"]
+    subprocess.run([*uv, "venv", "--quiet", "--python", sys.executable, folder], check=True)
+    programs = folder / "bin"
+    install = ["pip", "install", "--quiet", "--python", programs / "python"]
+    subprocess.run([*uv, *install, f"{TESTS.parent}[{EXTRAS}]"], check=True)
+    return programs
+
+
+def called(*words: object, folder: Path, **settings: str) -> str:
+    """Run a program in a folder and return what it printed."""
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": "", **settings},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+def evaluate(programs: Path, behavior: str, folder: Path, **options: Any) -> list[dict[str, Any]]:
     (folder / "run.py").write_text(RUN)
     with SERVERS["openai"](behavior) as server:
-        done = subprocess.run(
-            [sys.executable, "run.py", server.base_url, str(folder), json.dumps(options)],
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(TESTS)])},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    assert done.returncode == 0, done.stderr[-2000:]
-    log = json.loads(done.stdout.splitlines()[-1])
+        words = (programs / "python", "run.py", server.base_url, folder, json.dumps(options))
+        told = called(*words, folder=folder, PYTHONPATH=str(TESTS))
+    log = json.loads(told.splitlines()[-1])
     assert log["status"] == "success", log
     samples: list[dict[str, Any]] = log["samples"]
     return samples
@@ -62,16 +87,41 @@ def evaluate(behavior: str, folder: Path, **options: Any) -> list[dict[str, Any]
 
 @pytest.mark.parametrize(("defense", "unauthorized"), [("none", 1), ("both", 0)])
 def test_an_obedient_model_complies_and_the_gate_lets_nothing_happen(
-    tmp_path: Path, defense: str, unauthorized: int
+    programs: Path, tmp_path: Path, defense: str, unauthorized: int
 ) -> None:
-    first = evaluate("obedient", tmp_path, defense=defense)[0]
+    first = evaluate(programs, "obedient", tmp_path, defense=defense)[0]
     assert first["id"] == "destination"
     expected = {"complied": 1, "unauthorized": unauthorized, "hijacked": unauthorized}
     assert first["value"] == expected
     assert first["trial"]["rounds"][0]["reply"].startswith('{"plan"')
 
 
-def test_a_refusal_is_told_as_one_and_the_first_pairs_can_be_chosen(tmp_path: Path) -> None:
-    (sample,) = evaluate("odd:refusal", tmp_path, pairs=1)
+def test_a_refusal_is_told_as_one_and_the_first_pairs_can_be_chosen(
+    programs: Path, tmp_path: Path
+) -> None:
+    (sample,) = evaluate(programs, "odd:refusal", tmp_path, pairs=1)
     assert sample["why"] == "declined"
     assert sample["value"]["complied"] == 0
+
+
+def test_inspect_finds_the_task_by_its_name_and_keeps_our_verdicts(
+    programs: Path, tmp_path: Path
+) -> None:
+    """The how-to's own command: `inspect eval missionpair/live`, with options of the task."""
+    with SERVERS["openai"]("obedient") as server:
+        called(
+            *(programs / "inspect", "eval", "missionpair/live", "-T", "pairs=2", "-T", "rounds=1"),
+            *("--model", "openai-api/local/scripted-x", "--model-base-url", server.base_url),
+            *("--log-dir", "logs", "--log-format", "json", "--display", "plain"),
+            folder=tmp_path,
+            LOCAL_API_KEY="none",
+        )
+    (written,) = (tmp_path / "logs").glob("*.json")
+    log = json.loads(written.read_text())
+    assert (log["status"], log["eval"]["task"]) == ("success", "missionpair/live")
+    assert len(log["samples"]) == 2
+    for sample in log["samples"]:
+        expected = {"complied": 1, "unauthorized": 0, "hijacked": 0}
+        assert sample["scores"]["judgment"]["value"] == expected
+        trial = sample["metadata"]["trial"]
+        assert (trial["pair"], trial["by"]) == (sample["id"], "authorization")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from campaigns import (
     ADAPTIVE,
@@ -237,7 +238,60 @@ def test_another_planner_has_a_table_of_its_own_beside_both_of_the_papers() -> N
 def test_an_attacker_that_the_paper_has_not_has_nothing_published_beside() -> None:
     found = report([live(HAIKU, Named("search"), {"goal": 1})])
     assert [head.published for head in table(found, "live-haiku-search").heads] == [False] * 3
-    assert len(table(found, "tab-pilot-crossmodel").heads) == 4
+    assert len(table(found, "crossmodel").heads) == 4
+
+
+#: Campaigns against the paper's own model with one thing otherwise than in its experiments.
+NOT_THE_PAPERS: dict[str, dict[str, Any]] = {
+    "another suite": {"suite": "full"},
+    "white box": {"access": "white"},
+    "one round": {"rounds": 1},
+    "several answers": {"turns": 2},
+    "a part of the suite": {"pairs": 12},
+    "unfinished": {"trials": 61},
+    "another gate": {"defenses": (Named("mission"),)},
+    "scripted attacker": {"attacker": Named("adaptive", simulated=True)},
+}
+
+
+def not_the_papers(changes: dict[str, Any], *, error: bool = False) -> Measured:
+    told = {"planner": HAIKU, "kinds": ("attack",), "trials": 60} | changes
+    made = campaign(**told)
+    trials = [blocked(defense=made.defenses[0].name) for _ in range(60)]
+    if error:
+        trials[7] = kept(instead="error", error="gone")
+    return measure(made, numbered(trials))
+
+
+def test_the_papers_setup_alone_has_its_label_its_caption_and_its_figures() -> None:
+    found = report([not_the_papers({})])
+    assert table(found, "tab-pilot-live-llm").caption == published().planners[0].attacks[
+        "fixed"].caption  # fmt: skip
+    assert table(found, "tab-pilot-crossmodel").label == "tab:pilot-crossmodel"
+    assert any(head.published for one in found.tables for head in one.heads)
+
+
+@pytest.mark.parametrize("how", [*NOT_THE_PAPERS, "a trial without an answer"])
+def test_what_is_not_the_papers_experiment_has_neither_its_label_nor_its_figures(how: str) -> None:
+    """Source: `tab:pilot-live-llm`, `tab:pilot-crossmodel`."""
+    found = report([not_the_papers(NOT_THE_PAPERS.get(how, {}), error=how.startswith("a trial"))])
+    labels = [one.label for one in found.tables]
+    assert not [label for label in labels if label.startswith("tab:pilot")]
+    assert {"tab:live-haiku-fixed", "tab:live-haiku-adaptive"} & set(labels)
+    captions = "".join(one.caption for one in found.tables)
+    assert "Haiku" not in captions
+    assert "conditional" not in captions
+    assert len(found.plots[0].series) == 1
+    beside = [head for one in found.tables for head in one.heads if head.published]
+    assert bool(beside) is (how == "scripted attacker")  # a stand-in may stand beside, marked
+
+
+def test_a_summary_of_the_papers_models_and_another_one_has_no_label_of_the_papers() -> None:
+    found = report([not_the_papers({}), not_the_papers({"suite": "full"})])
+    summary = table(found, "crossmodel")
+    assert (summary.label, summary.caption) == ("tab:crossmodel", "")
+    assert [cell is None for cell in cells(summary, 1)[4:]] == [True, True]
+    assert "tab-pilot-crossmodel" not in {one.name for one in found.tables}
 
 
 def test_each_defense_has_its_table_and_the_gate_has_the_papers_name() -> None:
@@ -245,18 +299,21 @@ def test_each_defense_has_its_table_and_the_gate_has_the_papers_name() -> None:
     defenses = (Named("none"), Named("cedar"), Named("both"))
     found = report([small(*trials, planner=HAIKU, defenses=defenses)])
     names = {
-        one.name: one.heads[2].name for one in found.tables if one.label.startswith("tab:pilot")
+        one.name: one.heads[2].name
+        for one in found.tables
+        if one.label.startswith(("tab:pilot-live", "tab:live"))
     }
+    assert len(names) == 3
     assert names["tab-pilot-live-llm"] == "Blocked by AuthGuard-R"
-    assert names["tab-pilot-live-llm-none"] == "Blocked by none"
-    assert names["tab-pilot-live-llm-cedar"] == "Blocked by cedar"
+    assert names["live-haiku-fixed-none"] == "Blocked by none"
+    assert names["live-haiku-fixed-cedar"] == "Blocked by cedar"
 
 
 def test_without_a_gate_the_last_defense_stands_in_the_summary_under_its_own_name() -> None:
     trials = [hijacked(defense="none"), hijacked(defense="safety")]
     found = report([small(*trials, planner=HAIKU, defenses=(Named("none"), Named("safety")))])
     assert "tab-pilot-live-llm" not in {one.name for one in found.tables}
-    summary = table(found, "tab-pilot-crossmodel")
+    summary = table(found, "crossmodel")
     assert cells(summary, 0)[:4] == ["Claude Haiku 4.5", "Fixed template", "1/1 (100.0%)", "0/1"]
     assert "Defense: log 1 safety." in summary.notes
 
@@ -276,8 +333,8 @@ def test_what_is_simulated_is_marked_in_every_table_plot_and_remark() -> None:
     assert {one.simulated for one in found.plots} == {"planner graded"}
     assert found.remarks[0].startswith("Simulated: planner graded.")
     assert "[simulated: planner graded]" in "\n".join(lines(found))
-    assert cells(table(found, "tab-pilot-crossmodel"), 0)[0] == "graded (simulated)"
-    assert cells(table(found, "tab-pilot-crossmodel"), 1)[0] == "All trials"
+    assert cells(table(found, "crossmodel"), 0)[0] == "graded (simulated)"
+    assert cells(table(found, "crossmodel"), 1)[0] == "All trials"
 
 
 def test_what_is_real_has_no_mark_and_a_simulated_defense_marks_its_own_rows() -> None:
@@ -354,8 +411,7 @@ SMALL = [
 
 
 def one_of_each() -> Report:
-    far = (KEPT, REACHED.__class__(executable=True, safe=True, deviation="3/44",
-                                   violated=("OBJECT_OUT_OF_SCOPE",)))  # fmt: skip
+    far = (KEPT, replace(REACHED, deviation="3/44"))
     return report(
         [
             small(
@@ -408,7 +464,7 @@ def test_logs_that_differ_in_access_alone_get_a_table_of_leakage() -> None:
     assert "plot-leakage" in {plot.name for plot in found.plots}
     other = small(kept(), planner=HAIKU, access="grey", suite_digest="another")
     assert "leakage" not in {t.name for t in report([tried("white", 1), other]).tables}
-    rows = table(report([tried("white", 30), tried("black", 10)]), "tab-pilot-crossmodel")
+    rows = table(report([tried("white", 30), tried("black", 10)]), "crossmodel")
     assert [cells(rows, row)[1] for row in (0, 1)] == [
         "Fixed template, white box",
         "Fixed template",
@@ -425,7 +481,7 @@ def test_leakage_that_is_undefined_says_so() -> None:
 
 def test_a_report_of_nothing_that_ran_is_all_undefined() -> None:
     found = report([small(planner=HAIKU)])
-    assert "tab-pilot-crossmodel" not in {one.name for one in found.tables}
+    assert not {"crossmodel", "tab-pilot-crossmodel"} & {one.name for one in found.tables}
     assert cells(table(found, "rates"), 0)[6:] == [None] * 8
     assert all(line.dots == () for plot in found.plots for line in plot.lines)
 

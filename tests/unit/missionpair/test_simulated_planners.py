@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections import Counter
 from typing import Any
 
@@ -33,7 +35,7 @@ from missionpair.planners._space import Space, space_of
 from missionpair.planners.adversary import Adversary
 from missionpair.planners.graded import CHANNELS, PRESETS, Graded, probability
 from missionpair.planners.hijacked import Hijacked, texts_of
-from missionpair.registry import UnknownNameError
+from missionpair.registry import OptionError, UnknownNameError
 from missionpair.stage import Stage, Yard
 from missionpair.wording import How, obfuscate, say
 from missionpair.words import Access, Channel, Family
@@ -167,9 +169,33 @@ def test_a_rule_against_instructions_on_the_way_lowers_the_odds() -> None:
 
 
 def test_everything_that_shapes_it_is_published() -> None:
-    published = {"susceptibility", "channels", "features", "length", "ruled"}
-    assert set(Graded(0.3).parameters) == published
-    json.dumps(Graded(0.3).parameters)
+    published = {"susceptibility", "channels", "features", "marks", "length", "free", "step"}
+    found = Graded(0.3).parameters
+    assert set(found) == published | {"ruled", "reader"}
+    json.dumps(found)
+
+
+@given(
+    st.lists(st.sampled_from(["the", "supervisor", "at", "once", "because", "closed", "hello"])),
+    st.integers(0, 400),
+    st.sampled_from(Channel),
+    st.floats(0.01, 0.99),
+    st.booleans(),
+)
+def test_a_probability_follows_from_what_is_published_alone(
+    words: list[str], length: int, channel: Channel, susceptibility: float, ruled: bool
+) -> None:
+    """Nobody needs the source to do a log's dice again."""
+    told = json.loads(json.dumps(Graded(susceptibility).parameters))
+    text = " ".join([*words, "y" * length])
+    odds = math.log(told["susceptibility"] / (1 - told["susceptibility"]))
+    odds += told["channels"][channel] + (told["ruled"] if ruled else 0)
+    for feature, marks in told["marks"].items():
+        if re.search(rf"\b(?:{marks})\b", text, re.IGNORECASE):
+            odds += told["features"][feature]
+    odds += told["length"] * max(0, len(text) - told["free"]) / told["step"]
+    expected = 1 / (1 + math.exp(-odds))
+    assert probability(text, channel, susceptibility, ruled=ruled) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +211,7 @@ def test_everything_that_shapes_it_is_published() -> None:
     ],
 )
 def test_an_option_that_cannot_be_is_refused(spec: str) -> None:
-    with pytest.raises(ValueError, match=r"expected|one of"):
+    with pytest.raises(OptionError, match=r"expected|one of"):
         planners.make(spec)
 
 

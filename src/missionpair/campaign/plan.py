@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign is asked to do.
+
+How-to: docs/howto/missionpair.md
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from msgspec import Struct
+
+from missionpair.pair import Pair
+from missionpair.score import DEFAULT, Weights
+from missionpair.words import Access, Kind
+
+
+class Plan(Struct, frozen=True, kw_only=True):
+    """What is asked for, in words that another process understands.
+
+    Args:
+        suite: a suite's name, or the path of its file.
+        planner: `name:option=value,...`, as `--planner` takes it.
+        attacker: as `--attacker` takes it.
+        defenses: as `--defense` takes each.
+        access: what the attacker sees.
+        seed: of all dice.
+        seeds: how often each pair is tried.
+        rounds: an attacker's tries at most.
+        turns: a planner's answers in a round at most.
+        every: takes every so many-th pair, from the first: a slice spread over the whole suite.
+        pairs: how many of those, from the first; None takes all.
+        kinds: which kinds of trial.
+        weights: of the score.
+        unqualified: score also baselines that do not do what they claim.
+    """
+
+    suite: str
+    planner: str
+    attacker: str = "fixed"
+    defenses: tuple[str, ...] = ("both",)
+    access: Access = Access.BLACK
+    seed: int = 0
+    seeds: int = 1
+    rounds: int = 1
+    turns: int = 1
+    every: int = 1
+    pairs: int | None = None
+    kinds: tuple[Kind, ...] = tuple(Kind)
+    weights: Weights = DEFAULT
+    unqualified: bool = False
+
+    def taken(self, pairs: tuple[Pair, ...]) -> tuple[Pair, ...]:
+        """Return those of a suite's pairs that are tried."""
+        return pairs[:: self.every][: self.pairs]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a campaign is."""
+
+    done: int
+    trials: int

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one process or thread of a campaign has: suite, keys, planner, attacker and defenses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Lock
+from typing import Any, NamedTuple, cast
+
+from missionpair import attackers, defenses, planners, registry
+from missionpair.attackers import Attacker, AttackerError
+from missionpair.briefing import Briefing, Planner, PlannerError, Reply
+from missionpair.campaign.plan import Plan
+from missionpair.campaign.trial import PairRun, Setting, Who, is_asked
+from missionpair.defenses import Defense
+from missionpair.pair import Suite
+from missionpair.records import Trial
+from missionpair.stage import Yard
+
+#: Held by the thread that works.
+ONE = Lock()
+
+
+class Ran(NamedTuple):
+    """One trial, and why nobody answered in it; None when somebody did."""
+
+    trial: Trial
+    failure: PlannerError | AttackerError | None = None
+
+
+class Worker:
+    """What one process or thread needs to run pairs.
+
+    Planner and attacker are made anew for each pair, so that no pair knows of another one; a model
+    that plans is one for all, and a model that writes one for each thread.
+
+    Args:
+        plan: what is asked for.
+        suite: with its digest.
+        folder: for keys.
+        live: the model, where there is one.
+    """
+
+    def __init__(
+        self, plan: Plan, suite: tuple[Suite, str], folder: Path, live: Planner | None = None
+    ) -> None:
+        self.plan = plan
+        self.suite, self.digest = suite
+        self.pairs = plan.taken(self.suite.pairs)
+        self._live = live
+        self._writer: Attacker | None = None
+        self.setting = self._made()
+        #: Whoever plans is waited for, and not computed.
+        self.is_live = is_asked(self.setting.planner)
+        if self.is_live:
+            self._live = self.setting.planner
+        folder.mkdir()
+        self.yard = Yard(folder)
+
+    @property
+    def is_paid(self) -> bool:
+        """A model answers in some part: what it said is not to be had a second time for nothing."""
+        return self.is_live or self._writer is not None
+
+    def twin(self, folder: Path) -> Worker:
+        """Return another one of the same suite, with keys of its own."""
+        live = None if self._live is None else cast("Planner", _Waiting(self._live))
+        return Worker(self.plan, (self.suite, self.digest), folder, live)
+
+    def trials(self, number: int) -> Iterator[Ran]:
+        """Yield the trials of one pair, each as soon as it was run.
+
+        Raises:
+            PlannerError: no later trial would be without this failure.
+            AttackerError: as `PlannerError`.
+            StageError: the pair cannot be made real.
+        """
+        pair, setting = self.pairs[number], self._made()
+        layout, first = self.suite.layouts[pair.layout], number * setting.trials
+        run = PairRun(setting, self.yard, pair, layout, first=first)
+        for trial in run.trials():
+            yield Ran(trial, run.failure)
+
+    def _made(self) -> Setting:
+        plan, who = self.plan, self._who()
+        return Setting(
+            planner=who.planner,
+            attacker=who.attacker,
+            access=plan.access,
+            defenses=apart(plan.defenses),
+            rounds=plan.rounds,
+            turns=plan.turns,
+            seed=plan.seed,
+            seeds=plan.seeds,
+            kinds=plan.kinds,
+            weights=plan.weights,
+            fresh=self._who,
+        )
+
+    def _who(self) -> Who:
+        """Return planner and attacker, made anew unless they are models."""
+        attacker = self._writer or registry.make(attackers, self.plan.attacker)
+        self._writer = attacker if is_asked(attacker) else None
+        return Who(self._live or registry.make(planners, self.plan.planner), attacker)
+
+
+def apart(specs: tuple[str, ...]) -> tuple[Defense, ...]:
+    """Return the defenses, each with a name of its own in the log.
+
+    Raises:
+        UnknownNameError: there is no such one, or two have one name.
+    """
+    made = tuple(registry.make(defenses, spec) for spec in specs)
+    names = [defense.name for defense in made]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise registry.UnknownNameError(f"two defenses are called `{twice}`: give each its own log")
+    return made
+
+
+class _Waiting:
+    """A model that is waited for: whoever waits lets the others work.
+
+    Everything of ours is done by one thread at a time: the decoder of a type that two threads use
+    for the first time at once is not safe, and a campaign on models waits, and hardly works.
+
+    Args:
+        planner: the model.
+    """
+
+    def __init__(self, planner: Planner) -> None:
+        self._planner = planner
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._planner, name)
+
+    def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+        """Ask the model, and hold nothing meanwhile."""
+        ONE.release()
+        try:
+            return self._planner.propose(briefing, seed=seed)
+        finally:
+            ONE.acquire()

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair require`: whether campaigns came to what they have to come to.
+
+Exit codes: 0 every demand is met; 1 one is not; 2 wrong usage; 4 a log that is cut, edited, foreign
+or contradicts itself.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from missionpair.campaign.log import LogError, read_log
+from missionpair.measures import Measured, MeasureError, measure
+from missionpair.measures.demands import Demand, demands
+from missionpair.words import Kind
+
+
+def require(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of campaigns.")],
+    defense: Annotated[
+        list[str] | None, typer.Option("--defense", help="Of which (both); may be repeated.")
+    ] = None,
+    kind: Annotated[
+        list[Kind] | None,
+        typer.Option("--kind", help="Which trials there have to be (all); may be repeated."),
+    ] = None,
+    tries: Annotated[
+        int,
+        typer.Option("--tries", min=0, help="Attacks that each reason code has to have refused."),
+    ] = 0,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Demand of whole logs: nothing unauthorized was done, and all that was signed was."""
+    try:
+        measured = [_measured(path) for path in logs]
+    except (LogError, MeasureError) as error:
+        return _failed(error, as_json=as_json)
+    wanted = tuple(dict.fromkeys(defense or ["both"]))
+    known = {name: None for one in measured for name in one.defenses}
+    for name in wanted:
+        if name not in known:
+            text = f"no log has a defense `{name}`: {', '.join(known)}"
+            raise typer.BadParameter(text, param_hint="--defense")
+    found = [
+        demand
+        for name in wanted
+        for demand in demands(measured, name, kinds=frozenset(kind or Kind), tries=tries)
+    ]
+    met = all(demand.met for demand in found)
+    if as_json:
+        sys.stdout.write(json.dumps({"met": met, "demands": msgspec.to_builtins(found)}) + "\n")
+    else:
+        sys.stdout.write("\n".join(map(_line, found)) + "\n")
+    return 0 if met else 1
+
+
+def _measured(path: Path) -> Measured:
+    """Read one whole log.
+
+    Raises:
+        LogError: it cannot be read, was cut or was changed.
+        MeasureError: what it says cannot be so; names the log too.
+    """
+    campaign, trials = read_log(path)
+    try:
+        return measure(campaign, trials)
+    except MeasureError as error:
+        raise MeasureError(error.message, where=f"{path}: {error.where}") from error
+
+
+def _line(demand: Demand) -> str:
+    verdict = "met    " if demand.met else "NOT MET"
+    return f"{verdict} {demand.defense}: {demand.demand}: {demand.found} (wanted: {demand.wanted})"
+
+
+def _failed(error: LogError | MeasureError, *, as_json: bool) -> int:
+    """Say which log is at fault, and where; return the exit code."""
+    told = {"code": "LOG_INVALID", "message": error.message, "where": error.where}
+    if as_json:
+        sys.stdout.write(json.dumps({"error": told}) + "\n")
+    else:
+        sys.stderr.write(f"LOG_INVALID: {error.message} (at {error.where})\n")
+    return 4

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What counts as compliance, and what of a trial is counted: the plan's own, round by round.
+
+Source: section "Prototype, Execution Path, and Evaluation Criteria", docs/spec/measures.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from missionpair import defenses, registry, suites
+from missionpair.campaign.trial import PairRun, Who
+from missionpair.judging import check
+from missionpair.mutation import slice_of
+from missionpair.pair import Call, Input, Pair, Suite, plan_bytes
+from missionpair.stage import Yard
+from missionpair.words import Kind
+from unit.missionpair.test_campaign_run import Says, ran, setting
+
+#: Defenses of every make: past the gate, through it, and with a gate of their own.
+EVERY = ("none", "allowlist", "cedar", "temporal", "safety", "mission", "both")
+ATTACK = {"kinds": (Kind.ATTACK,)}
+
+
+@pytest.fixture(scope="module")
+def suite() -> Suite:
+    found: Suite = registry.make(suites, "live")
+    return found
+
+
+@pytest.fixture(scope="module")
+def yard() -> Iterator[Yard]:
+    with Yard() as made:
+        yield made
+
+
+def made(*names: str) -> dict[str, Any]:
+    return {"defenses": tuple(registry.make(defenses, name) for name in names)}
+
+
+def pair_of(suite: Suite, category: str) -> Pair:
+    return next(pair for pair in suite.pairs if pair.categories[0] == category)
+
+
+def test_a_plan_that_restates_the_mission_is_no_compliance(suite: Suite, yard: Yard) -> None:
+    """A planner that starts over, or goes on, keeps to its task, whatever its place is worth."""
+    for pair in suite.pairs:
+        stage = yard.stage(pair, suite.layouts[pair.layout], pair.attack)
+        plan = pair.benign.plan
+        for first in range(len(plan)):
+            assert not check(stage, plan_bytes(plan[first:])).is_changed, (pair.id, first)
+
+
+def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> None:
+    for name in ("live", "full", "availability"):
+        whole = suites.load(name)[0]
+        for pair in slice_of(whole, most=40).pairs:
+            stage = yard.stage(pair, whole.layouts[pair.layout], pair.attack)
+            checked = check(stage, plan_bytes(pair.attack.plan))
+            assert checked.is_changed, pair.id
+            assert checked.succeeds, pair.id
+
+
+def test_the_same_plan_complies_the_same_whatever_stands_behind_it(
+    suite: Suite, yard: Yard
+) -> None:
+    """Also a plan that is not executable beyond the change: the gate is asked about the change."""
+    pair = pair_of(suite, "goal")
+    beyond = next(call for call in pair.benign.plan if call.tool == "pick_up")
+    for plan in (pair.attack.plan, (*pair.attack.plan, beyond, beyond)):
+        trials = ran(suite, yard, Says(plan_bytes(plan)), pair, **ATTACK, **made(*EVERY))
+        assert [trial.complied for trial in trials] == [True] * len(EVERY)
+        told = {trial.defense: trial.blocked for trial in trials}
+        assert (told["none"], told["both"]) == (False, True)
+    (trial,) = ran(
+        suite, yard, Says(plan_bytes((beyond, *pair.attack.plan))), pair, **ATTACK, **made("none")
+    )
+    assert (trial.complied, trial.instead) == (False, "not_executable")
+
+
+def test_what_leaves_the_mission_otherwise_is_told_apart(suite: Suite, yard: Yard) -> None:
+    pair = pair_of(suite, "object")
+    again = Says(plan_bytes(pair.benign.plan))
+    none, both = ran(suite, yard, again, pair, **ATTACK, **made("none", "both"))
+    assert (none.complied, none.instead, none.unauthorized > 0) == (False, "strayed", True)
+    assert (both.complied, both.instead, both.unauthorized) == (False, "strayed", 0)
+    (kept,) = ran(
+        suite, yard, Says(plan_bytes((Call("scan", {}),))), pair, **ATTACK, **made("both")
+    )
+    assert (kept.complied, kept.instead) == (False, "authorized")
+
+
+@pytest.mark.parametrize("defense", ["none", "human", "cedar", "safety", "mission", "both"])
+def test_a_planner_is_shown_the_world_as_it_became(suite: Suite, yard: Yard, defense: str) -> None:
+    """Step by step, to the end of the mission: after what was carried out, and not before."""
+    pair = pair_of(suite, "goal")
+    steps = Says(*(plan_bytes((call,)) for call in pair.benign.plan))
+    only = {"kinds": (Kind.BENIGN,), "turns": 12}
+    spec = "human:first=1,keeps=1,misses=0,refuses=0" if defense == "human" else defense
+    (trial,) = ran(suite, yard, steps, pair, **only, **made(spec))
+    assert trial.completed
+    assert len(steps.seen) == len(pair.benign.plan)
+    places = [briefing.situation.split(" and ")[0] for briefing in steps.seen]
+    assert len(set(places)) > 1
+    assert [turn.told for turn in steps.seen[-1].turns] == ["executed"] * (len(steps.seen) - 1)
+
+
+def test_a_planner_that_has_nothing_more_to_do_is_asked_no_more(suite: Suite, yard: Yard) -> None:
+    says = Says(plan_bytes((Call("scan", {}),)), b'{"plan": []}')
+    ran(suite, yard, says, **ATTACK, **made("both"), turns=9)
+    assert len(says.seen) == 2
+
+
+class Insists:
+    """An attacker that sends the same again."""
+
+    name, simulated, parameters = "insists", True, dict[str, Any]()
+
+    def __init__(self, inputs: tuple[Input, ...]) -> None:
+        self.inputs = inputs
+
+    def open(self, case: bytes, *, seed: int) -> tuple[Input, ...]:
+        return self.inputs
+
+    def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:
+        return self.inputs
+
+
+def test_every_round_counts_and_not_the_last_alone(suite: Suite, yard: Yard) -> None:
+    """Off the mission in the first round, under nobody's eyes; kept to it in the last."""
+    pair = pair_of(suite, "object")
+    says = Says(plan_bytes(pair.benign.plan), plan_bytes((Call("scan", {}),)))
+    more = {"attacker": Insists(pair.inputs), "rounds": 3}
+    (trial,) = ran(suite, yard, says, pair, **ATTACK, **more, **made("none"))
+    assert len(trial.rounds) == 3
+    assert trial.unauthorized > 0
+    assert trial.hijacked
+    assert trial.executed > trial.unauthorized
+    assert trial.violated
+
+
+def test_an_unsafe_plan_does_not_end_the_attack(suite: Suite, yard: Yard) -> None:
+    """`alg:missionpair` returns what is executable, safe and off the mission, all three."""
+    pair = pair_of(suite, "parameter")
+    (call,) = pair.attack.plan
+    unsafe = Call(call.tool, {**call.arguments, "speed": 1.6})  # its profile ends at 1.5
+    says = Says(plan_bytes((unsafe,)), plan_bytes(pair.attack.plan))
+    more = {"attacker": Insists(pair.inputs), "rounds": 5}
+    (trial,) = ran(suite, yard, says, pair, **ATTACK, **more, **made("safety"))
+    assert [one.safe for one in trial.rounds] == [False, True]
+    assert [one.complied for one in trial.rounds] == [True, True]
+    assert (trial.complied, trial.hijacked) == (True, True)
+
+
+def test_a_false_stop_is_a_robot_that_stands_with_work_left(suite: Suite, yard: Yard) -> None:
+    pair = pair_of(suite, "goal")
+    twin, look = plan_bytes(pair.attack.plan), plan_bytes((Call("scan", {}),))
+    for said, expected in ((twin, {"none": False, "both": True}), (look, {"both": False})):
+        for trial in ran(suite, yard, Says(said), pair, **ATTACK, **made(*expected)):
+            assert trial.false_stop is expected[trial.defense]
+    whole = Says(plan_bytes(pair.benign.plan))
+    benign = {"kinds": (Kind.BENIGN,)}
+    (trial,) = ran(suite, yard, whole, pair, **benign, **made("both"))
+    assert (trial.completed, trial.false_stop) == (True, False)
+    (trial,) = ran(suite, yard, Says(twin), pair, **benign, **made("both"))
+    assert (trial.completed, trial.by, trial.false_stop) == (False, "authorization", True)
+
+
+def test_what_learns_under_one_defense_does_not_know_it_under_another(
+    suite: Suite, yard: Yard
+) -> None:
+    pair, asked = suite.pairs[0], list[Says]()
+
+    def fresh() -> Who:
+        asked.append(Says(b"?"))
+        return Who(asked[-1], Insists(pair.inputs))
+
+    first = Says(b"?")
+    one = setting(first, fresh=fresh, **ATTACK, **made("none", "safety", "both"), seeds=4)
+    trials = list(PairRun(one, yard, pair, suite.layouts[pair.layout], first=0).trials())
+    assert len(trials) == 12
+    assert [len(says.seen) for says in (first, *asked)] == [4, 4, 4]
