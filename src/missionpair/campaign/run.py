@@ -69,6 +69,7 @@ def _run(
         show(Progress(writer.done, campaign.trials))
         if writer.is_whole:
             return campaign
+        worker.done = writer.done
         # what a model said is paid for, and outlasts this run; the rest is only run again
         ahead = Ahead(_beside(log) if worker.is_paid else folder / "ahead", campaign)
         numbers = iter(range(writer.done // worker.setting.trials, campaign.pairs))

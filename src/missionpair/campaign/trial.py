@@ -99,16 +99,28 @@ class PairRun:
         pair: the pair.
         layout: its site.
         first: number of its first trial.
+        done: trials below this number are in the log; a model is not asked for them again.
     """
 
     def __init__(
-        self, setting: Setting, yard: Yard, pair: Pair, layout: Layout, *, first: int
+        self,
+        setting: Setting,
+        yard: Yard,
+        pair: Pair,
+        layout: Layout,
+        *,
+        first: int,
+        done: int = 0,
     ) -> None:
         self._setting = setting
         self._yard = yard
         self._pair = pair
         self._layout = layout
         self._n = first
+        # what learns from trial to trial has to go through them again
+        learns = hasattr(setting.planner, "told")
+        is_paid = is_asked(setting.planner) or is_asked(setting.attacker)
+        self._done = done if is_paid and not learns else first
         self._stages: dict[tuple[Kind, str], Stage] = {}
         self._cases: dict[str, bytes] = {}
         self._rest: tuple[Call, ...] | None = None
@@ -117,13 +129,14 @@ class PairRun:
         self.failure: PlannerError | AttackerError | None = None
 
     def trials(self) -> Iterator[Trial]:
-        """Yield every trial of the pair, in order."""
+        """Yield every trial of the pair that is still to be run, in order."""
         setting = self._setting
         for kind in setting.kinds:
             for number in range(setting.seeds):
                 seed = _seed(setting.seed, self._pair.id, kind, number)
                 for defense in setting.defenses:
-                    yield self._trial(Dice(kind, defense, seed))
+                    if self._n >= self._done:
+                        yield self._trial(Dice(kind, defense, seed))
                     self._n += 1
 
     def _trial(self, dice: Dice) -> Trial:

@@ -49,6 +49,8 @@ class Worker:
         self.suite, self.digest = suite
         self.pairs = plan.taken(self.suite.pairs)
         self._live = live
+        #: Trials below this number are in the log.
+        self.done = 0
         self._writer: Attacker | None = None
         self.setting = self._made()
         #: Whoever plans is waited for, and not computed.
@@ -66,7 +68,9 @@ class Worker:
     def twin(self, folder: Path) -> Worker:
         """Return another one of the same suite, with keys of its own."""
         live = None if self._live is None else cast("Planner", _Waiting(self._live))
-        return Worker(self.plan, (self.suite, self.digest), folder, live)
+        made = Worker(self.plan, (self.suite, self.digest), folder, live)
+        made.done = self.done
+        return made
 
     def trials(self, number: int) -> Iterator[Ran]:
         """Yield the trials of one pair, each as soon as it was run.
@@ -78,7 +82,7 @@ class Worker:
         """
         pair, setting = self.pairs[number], self._made()
         layout, first = self.suite.layouts[pair.layout], number * setting.trials
-        run = PairRun(setting, self.yard, pair, layout, first=first)
+        run = PairRun(setting, self.yard, pair, layout, first=first, done=self.done)
         for trial in run.trials():
             yield Ran(trial, run.failure)
 
