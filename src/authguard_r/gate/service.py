@@ -257,7 +257,7 @@ class Service:
         """Serve one urgent request and one other, then let the loop read."""
         self._turning = False
         if self._advance is not None and not self.motions:
-            self._advance(bool(self.motions))  # asked of now, not of the last look
+            self._look()  # what is asked is asked of now
         for client, item in self._ring.take():
             try:
                 if isinstance(item, Frame):
