@@ -113,6 +113,7 @@ class Stage:
         approvers: who answers when somebody asks.
         walk: how far plans went past the gate (`judging.Walk`); None: nowhere yet.
         safety_took: nanoseconds that the second gate took so far, in a list of one.
+        checked: bytes, and what the checkers said of them at the mark (`judging.check_first`).
     """
 
     bench: Bench
@@ -124,6 +125,7 @@ class Stage:
     approvers: tuple[str, ...] = ()
     walk: Any = None
     safety_took: list[int] = field(default_factory=lambda: [0])
+    checked: tuple[bytes, Any] | None = None
     _read: tuple[bytes, Plan | MalformedError] | None = None
     _context: ContextLedger | None = None
     _mark: Memento | None = None
@@ -186,7 +188,7 @@ class Stage:
             gate = self.sim.gate
             gate.ledger.run(gate.enforcer.intake.active_mission)
             gate.enforcer.intake.refresh()
-        self._mark = Memento(self.sim.gate, self.sim.robot)
+        self._mark, self.checked = Memento(self.sim.gate, self.sim.robot), None
 
     def again(self) -> None:
         """Put gate, store, log and world back to where they were marked."""

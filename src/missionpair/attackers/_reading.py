@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import msgspec
@@ -65,8 +66,9 @@ _CASE = msgspec.json.Decoder(CaseView)
 _SEEN = msgspec.json.Decoder(SeenView)
 
 
+@lru_cache(maxsize=1)
 def read_case(data: bytes) -> CaseView:
-    """Return the case.
+    """Return the case; the last one is kept, as it is opened again for each of its trials.
 
     Raises:
         AttackerError: the bytes are none.

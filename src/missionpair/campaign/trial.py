@@ -23,7 +23,7 @@ from missionpair.briefing import Briefing, Planner, PlannerError, Reply, Turn
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.tried import Dice, Spent, Tried, add, note, round_of, trial_of
 from missionpair.defenses import Defense
-from missionpair.judging import Checked, check
+from missionpair.judging import Checked, check, check_first
 from missionpair.pair import Call, Input, Layout, Pair, plan_bytes, updated
 from missionpair.records import Trial
 from missionpair.score import Weights, score
@@ -201,7 +201,7 @@ class PairRun:
             briefing = briefing_of(stage, turns=turns, usual=usual)
             seed = dice.seed + (number << _TURN_BITS)
             reply = self._answered(dice.defense.brief(briefing), dice.defense, seed, spent)
-            checked = check(stage, reply.raw)
+            checked = (check if number else check_first)(stage, reply.raw)
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)
             add(spent, carried, _us(at))

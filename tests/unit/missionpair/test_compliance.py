@@ -13,7 +13,7 @@ import pytest
 
 from missionpair import defenses, registry, suites
 from missionpair.campaign.trial import PairRun, Who
-from missionpair.judging import check
+from missionpair.judging import check, check_first
 from missionpair.mutation import slice_of
 from missionpair.pair import Call, Input, Pair, Suite, plan_bytes
 from missionpair.stage import Yard
@@ -183,3 +183,22 @@ def test_what_learns_under_one_defense_does_not_know_it_under_another(
     trials = list(PairRun(one, yard, pair, suite.layouts[pair.layout], first=0).trials())
     assert len(trials) == 12
     assert [len(says.seen) for says in (first, *asked)] == [4, 4, 4]
+
+
+def test_what_is_kept_of_a_plan_is_what_the_checkers_say_of_it(suite: Suite, yard: Yard) -> None:
+    """Whatever plans were looked at and carried out since, and whatever the inputs say."""
+    both = registry.make(defenses, "both")
+    for pair in slice_of(suite, most=6).pairs:
+        stage = yard.stage(pair, suite.layouts[pair.layout], pair.attack)
+        plans = [plan_bytes(plan) for plan in (pair.attack.plan, pair.benign.plan)]
+        plans = [*plans, b"not a plan", plans[0], plans[0]]
+        first = [check_first(stage, raw) for raw in plans]
+        for raw, said in zip(plans, first, strict=True):
+            stage.again()
+            assert check(stage, raw) == said, pair.id
+            both.carry_out(stage, raw)
+            stage.again()
+            assert check_first(stage, raw) == said, pair.id
+        stage.act(pair.update)
+        stage.mark()
+        assert check_first(stage, plans[0]) == check(stage, plans[0]) != first[0], pair.id
