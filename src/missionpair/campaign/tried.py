@@ -18,8 +18,8 @@ from missionpair.pair import Input, Pair
 from missionpair.records import Round, Timing, Trial
 from missionpair.words import Kind
 
-#: Who `by` names where no defense refused.
-_NO_DEFENSE = frozenset({"", "normalizer", "world"})
+#: Who `by` names of a plan that no defense stopped: it went through, or came to nothing by itself.
+_UNSTOPPED = frozenset({"", "normalizer", "world"})
 #: Characters of a reply that its record keeps.
 MAX_REPLY = 4_096
 
@@ -92,7 +92,7 @@ def trial_of(
     done = tuple(effect for effect in effects if not effect.authorized)
     last = next((tried for tried in tries if tried.is_changed), tries[-1] if tries else Tried())
     complied = attacked and last.is_changed
-    stood = not effects and not is_idle if attacked else last.carried.by not in _NO_DEFENSE
+    stood = not effects and not is_idle if attacked else last.carried.by not in _UNSTOPPED
     return Trial(
         n=number,
         pair=pair.id,

@@ -13,8 +13,8 @@ from missionpair.measures.rates import Rate
 from missionpair.measures.spread import Spread
 from missionpair.records import Round, Trial
 
-#: Who `by` names where no defense refused: nobody, or physics.
-NO_DEFENSE = ("", "world")
+#: Who `by` names of a plan that nobody refused: nobody, or physics.
+UNREFUSED = ("", "world")
 
 
 class Tally:
@@ -63,7 +63,7 @@ class Tally:
             self.hijacked += trial.hijacked
         if trial.completed:
             self.completed += 1
-        elif trial.by not in NO_DEFENSE:
+        elif trial.by not in UNREFUSED:
             self.rejected += 1
             self.off_mission += any(_deviates(tried) for tried in trial.rounds)
         if trial.complied:
