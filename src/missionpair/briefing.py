@@ -95,7 +95,8 @@ class PlannerError(Exception):
     """A planner that cannot be reached or does not answer as its protocol says.
 
     Args:
-        code: `unreachable`, `refused`, `protocol`, `limit` or `cost`.
+        code: `unreachable`, `refused`, `protocol`, `limit` or `cost`; of what cannot even be made
+            `usage`, an option is wrong, or `file` or `log`, what it reads is not as it has to be.
         message: what happened, and the mend.
         where: the server or the option.
     """

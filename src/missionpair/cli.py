@@ -8,13 +8,14 @@ import sys
 import tempfile
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import msgspec
 import typer
 from typer.exceptions import TyperException
 
 from authguard_r.assembly import folder_signer
+from authguard_r.cli.usage import message_of, place_of
 from authguard_r.client import GateClient
 from authguard_r.wire.messages import ClientRole
 from missionpair.ablation import CHECKS, without
@@ -25,7 +26,7 @@ from missionpair.cli_mutate import mutate_command
 from missionpair.cli_report import compare, report
 from missionpair.cli_require import require
 from missionpair.cli_run import list_command, run_command
-from missionpair.faults import FAULTS, fault_of
+from missionpair.faults import FAULTS, USAGE, Fault, fault_of
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN
 from missionpair.systems import System, run_trial
@@ -62,7 +63,7 @@ def validate(
         raise typer.BadParameter(f"no check is called `{unknown[0]}`", param_hint="--without")
     with tempfile.TemporaryDirectory(prefix="missionpair-") as folder:
         bench = make_bench(Path(folder) / "trust")
-        checks = [] if remove else _self_checks(bench, show=not as_json)
+        checks = [] if remove else _self_checks(bench, show=not as_json and sys.stderr.isatty())
         with without(*(remove or ())):
             measured = run_suite(bench)
     payload = _payload(checks, measured)
@@ -86,6 +87,9 @@ def approvers(
     count: Annotated[
         int | None, typer.Option("--count", help="Leave after so many answers.", min=1)
     ] = None,
+    as_json: Annotated[  # noqa: ARG001 - there is no other form, and every command takes it
+        bool, typer.Option("--json", help="Its only form: one JSON object for each answer.")
+    ] = False,
 ) -> int:
     """Answer a gate's approval requests by a script; one JSON object for each answer.
 
@@ -188,23 +192,30 @@ def _lines(payload: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Run one command and exit with its code."""
+    """Run one command and exit with its code; whatever happens is said, not thrown."""
     try:
         result = app(prog_name="missionpair", standalone_mode=False)
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
+    except typer.Abort:
+        _fail(Fault("ABORTED", "stopped by the user", "", USAGE))
     except TyperException as error:
-        show = getattr(error, "format_message", error.__str__)
-        sys.stderr.write(f"USAGE: {show()}\n")
-        sys.exit(2)
+        if not sys.argv[1:]:  # what it says is the help, line by line
+            sys.stderr.write(f"USAGE: {error.format_message()}\n")
+            sys.exit(USAGE)
+        _fail(Fault("USAGE", message_of(error), place_of(error), USAGE))
     except FAULTS as error:
-        fault = fault_of(error)
-        if "--json" in sys.argv:
-            sys.stdout.write(fault.as_json() + "\n")
-        else:
-            sys.stderr.write(fault.as_text() + "\n")
-        sys.exit(fault.exit_code)
+        _fail(fault_of(error))
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; every trial that was finished is in the log\n")
-        sys.exit(130)
+        text = "stopped; every trial that was finished is in the log"
+        _fail(Fault("ABORTED", text, "", 130))
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _fail(fault: Fault) -> NoReturn:
+    """Say what is wrong where it belongs, and exit with its code."""
+    if "--json" in sys.argv:
+        sys.stdout.write(fault.as_json() + "\n")
+    else:
+        sys.stderr.write(fault.as_text() + "\n")
+    sys.exit(fault.exit_code)

@@ -49,9 +49,7 @@ def live_command(
     Qwen2.5 7B over Ollama. A second start goes on where the first was ended.
     """
     specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
-    for spec in specs:  # what cannot be had is said before anything is asked
-        registry.make(planners, spec)
-        registry.make(attackers, _adaptive(spec))
+    _require(specs)
     out.mkdir(parents=True, exist_ok=True)
     kinds = tuple(Kind) if benign else (Kind.ATTACK,)
     logs: list[Path] = []
@@ -79,6 +77,23 @@ def live_command(
         found = [summary_of(read_log(log)[0], log) for log in logs]
         sys.stdout.write(json.dumps({"campaigns": found}) + "\n")
     return _report(logs, out, quiet=as_json)
+
+
+def _require(specs: tuple[str, ...]) -> None:
+    """Make everything once: what cannot be had is said before anything is asked or written.
+
+    Raises:
+        UnknownNameError: no such planner or option, or two planners that a log cannot tell apart.
+        PlannerError: a key or a package is missing.
+    """
+    seen: list[tuple[str, object]] = []
+    for spec in specs:
+        made = registry.make(planners, spec)
+        registry.make(attackers, _adaptive(spec))
+        if (made.name, made.parameters) in seen:
+            text = "its trials would count twice: take it once, or each in a folder of its own"
+            raise registry.UnknownNameError(f"two planners are `{made.name}` to the log: {text}")
+        seen.append((made.name, made.parameters))
 
 
 def _adaptive(spec: str) -> str:

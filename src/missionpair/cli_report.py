@@ -16,8 +16,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from missionpair.campaign.log import LogError, read_log
-from missionpair.measures import Measured, MeasureError, measure
+from missionpair.cli_logs import LOG_FAULTS, apart, failed, measured
 from missionpair.report import (
     Report,
     lines,
@@ -59,12 +58,12 @@ def report(
     """Rebuild tables and plots from logs; a campaign with another access adds leakage."""
     try:
         found = report_of(
-            [_measured(path, partial=partial)[0] for path in logs],
+            [measured(path, partial=partial) for path in apart(logs)],
             mutation=None if mutation is None else read_mutation(mutation),
         )
         written = sorted(map(str, _write(found, html=html, csv=csv, latex=latex)))
-    except (LogError, MeasureError) as error:
-        return _failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
+    except LOG_FAULTS as error:
+        return failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
     except OSError as error:
         return _environment(error, as_json=as_json)
     if as_json:
@@ -83,13 +82,14 @@ def compare(
 ) -> int:
     """Set two campaigns side by side: set-up, rates with intervals, pairs that changed."""
     try:
-        one, seen = _measured(first, partial=partial)
-        other, also = _measured(second, partial=partial)
-        found = compare_of(one, other, (seen, also), is_any_allowed=anyway)
+        seen = Verdicts(), Verdicts()
+        one = measured(first, partial=partial, seen=seen[0])
+        other = measured(second, partial=partial, seen=seen[1])
+        found = compare_of(one, other, seen, is_any_allowed=anyway)
     except NotComparableError as error:
-        return _failed("NOT_COMPARABLE", error.message, error.where, as_json=as_json, code=1)
-    except (LogError, MeasureError) as error:
-        return _failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
+        return failed("NOT_COMPARABLE", error.message, error.where, as_json=as_json, code=1)
+    except LOG_FAULTS as error:
+        return failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
     if as_json:
         tables = {table.name: records(table) for table in found.tables}
         changes = msgspec.to_builtins(found.changes)
@@ -97,21 +97,6 @@ def compare(
     else:
         _say("\n\n".join("\n".join(table_lines(table)) for table in found.tables))
     return 0
-
-
-def _measured(path: Path, *, partial: bool) -> tuple[Measured, Verdicts]:
-    """Read one log, each line once.
-
-    Raises:
-        LogError: it cannot be read, or was changed.
-        MeasureError: what it says cannot be so; names the log too.
-    """
-    campaign, trials = read_log(path, is_partial_allowed=partial)
-    seen = Verdicts()
-    try:
-        return measure(campaign, seen.watch(trials)), seen
-    except MeasureError as error:
-        raise MeasureError(error.message, where=f"{path}: {error.where}") from error
 
 
 def _write(
@@ -137,16 +122,7 @@ def _write(
 def _environment(error: OSError, *, as_json: bool) -> int:
     """Say what the file system will not do."""
     message, where = error.strerror or str(error), str(error.filename or "")
-    return _failed("FILE_UNAVAILABLE", message, where, as_json=as_json, code=5)
-
-
-def _failed(code_name: str, message: str, where: str, *, as_json: bool, code: int) -> int:
-    """Print an error where it belongs and return the exit code."""
-    if as_json:
-        _say(json.dumps({"error": {"code": code_name, "message": message, "where": where}}))
-    else:
-        sys.stderr.write(f"{code_name}: {message} (at {where})\n")
-    return code
+    return failed("FILE_UNAVAILABLE", message, where, as_json=as_json, code=5)
 
 
 def _say(words: Any) -> None:

@@ -15,8 +15,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from missionpair.campaign.log import LogError, read_log
-from missionpair.measures import Measured, MeasureError, measure
+from missionpair.cli_logs import LOG_FAULTS, apart, failed, measured
 from missionpair.measures.demands import Demand, demands
 from missionpair.words import Kind
 
@@ -40,11 +39,11 @@ def require(
 ) -> int:
     """Demand of whole logs: nothing unauthorized was done, and all that was signed was."""
     try:
-        measured = [_measured(path) for path in logs]
-    except (LogError, MeasureError) as error:
-        return _failed(error, as_json=as_json)
+        those = [measured(path) for path in apart(logs)]
+    except LOG_FAULTS as error:
+        return failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
     wanted = tuple(dict.fromkeys(defense or ["both"]))
-    known = {name: None for one in measured for name in one.defenses}
+    known = {name: None for one in those for name in one.defenses}
     for name in wanted:
         if name not in known:
             text = f"no log has a defense `{name}`: {', '.join(known)}"
@@ -52,7 +51,7 @@ def require(
     found = [
         demand
         for name in wanted
-        for demand in demands(measured, name, kinds=frozenset(kind or Kind), tries=tries)
+        for demand in demands(those, name, kinds=frozenset(kind or Kind), tries=tries)
     ]
     met = all(demand.met for demand in found)
     if as_json:
@@ -62,30 +61,6 @@ def require(
     return 0 if met else 1
 
 
-def _measured(path: Path) -> Measured:
-    """Read one whole log.
-
-    Raises:
-        LogError: it cannot be read, was cut or was changed.
-        MeasureError: what it says cannot be so; names the log too.
-    """
-    campaign, trials = read_log(path)
-    try:
-        return measure(campaign, trials)
-    except MeasureError as error:
-        raise MeasureError(error.message, where=f"{path}: {error.where}") from error
-
-
 def _line(demand: Demand) -> str:
     verdict = "met    " if demand.met else "NOT MET"
     return f"{verdict} {demand.defense}: {demand.demand}: {demand.found} (wanted: {demand.wanted})"
-
-
-def _failed(error: LogError | MeasureError, *, as_json: bool) -> int:
-    """Say which log is at fault, and where; return the exit code."""
-    told = {"code": "LOG_INVALID", "message": error.message, "where": error.where}
-    if as_json:
-        sys.stdout.write(json.dumps({"error": told}) + "\n")
-    else:
-        sys.stderr.write(f"LOG_INVALID: {error.message} (at {error.where})\n")
-    return 4

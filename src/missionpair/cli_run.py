@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -18,8 +19,11 @@ from missionpair.campaign.log import read_log
 from missionpair.campaign.run import Plan, Progress, run
 from missionpair.campaign.trial import MOST_TURNS
 from missionpair.records import Campaign
-from missionpair.score import DEFAULT
+from missionpair.score import DEFAULT, Weights
 from missionpair.words import Access, Kind
+
+#: One weight as it is typed.
+_THOUSANDTHS = re.compile(r"0*[1-9][0-9]{0,6}", re.ASCII)
 
 
 def run_command(
@@ -40,11 +44,19 @@ def run_command(
     ] = None,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Tries of each pair.")] = 1,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
-    rounds: Annotated[int, typer.Option("--rounds", min=1, help="An attacker's tries.")] = 1,
+    rounds: Annotated[
+        int | None,
+        typer.Option("--rounds", min=1, help="An attacker's tries; if absent 3 in `live`, else 1."),
+    ] = None,
     turns: Annotated[
-        int,
-        typer.Option("--turns", min=1, max=MOST_TURNS, help="A planner's answers in one round."),
-    ] = 1,
+        int | None,
+        typer.Option(
+            "--turns",
+            min=1,
+            max=MOST_TURNS,
+            help="A planner's answers in one round; if absent 30 in `long`, else 1.",
+        ),
+    ] = None,
     every: Annotated[
         int, typer.Option("--every", min=1, help="Take every so many-th pair of the suite.")
     ] = 1,
@@ -54,6 +66,10 @@ def run_command(
     kind: Annotated[
         list[Kind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
     ] = None,
+    weights: Annotated[
+        str,
+        typer.Option("--weights", help="Of the score: lambda 1 to 5, thousandths above zero."),
+    ] = ",".join(map(str, DEFAULT.thousandths)),
     jobs: Annotated[
         int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
     ] = 1,
@@ -69,6 +85,7 @@ def run_command(
     A log that is there is gone on with: nothing in it is run again, nothing is lost. With the same
     seed a deterministic campaign gives the same lines, but for `timing`, whatever `--jobs` is.
     """
+    usual = suites.usual(suite)
     plan = Plan(
         suite=suite,
         planner=planner,
@@ -77,12 +94,12 @@ def run_command(
         access=access,
         seed=seed,
         seeds=seeds,
-        rounds=rounds,
-        turns=turns,
+        rounds=rounds or usual.rounds,
+        turns=turns or usual.turns,
         every=every,
         pairs=pairs,
         kinds=tuple(dict.fromkeys(kind or Kind)),
-        weights=DEFAULT,
+        weights=_weights(weights),
         unqualified=unqualified,
     )
     with shown(hidden=as_json) as show:
@@ -106,6 +123,7 @@ def list_command(
         name: {item: registry.help_of(room, item) for item in registry.names(room)}
         for name, room in rooms.items()
     }
+    found["suites"] = {name: text + _usually(name) for name, text in found["suites"].items()}
     if as_json:
         sys.stdout.write(json.dumps(found) + "\n")
         return 0
@@ -114,6 +132,28 @@ def list_command(
         lines = [f"  {item.ljust(width)}  {text}" for item, text in items.items()]
         sys.stdout.write("\n".join((f"{name}:", *lines, "")) + "\n")
     return 0
+
+
+def _weights(text: str) -> Weights:
+    """Return the weights of the score.
+
+    Raises:
+        BadParameter: they are no five whole numbers above zero.
+    """
+    parts = text.split(",")
+    if len(parts) != len(DEFAULT.thousandths) or not all(map(_THOUSANDTHS.fullmatch, parts)):
+        raise typer.BadParameter(
+            f"`{text[:80]}` is no five whole thousandths above zero such as 400,200,200,100,100",
+            param_hint="--weights",
+        )
+    names = Weights.__struct_fields__
+    return Weights(**dict(zip(names, map(int, parts), strict=True)))
+
+
+def _usually(suite: str) -> str:
+    """Return what is usual for a suite, where that is not one round with one answer."""
+    said = [f"{name} {n}" for name, n in suites.usual(suite)._asdict().items() if n != 1]
+    return f" ({', '.join(said)})" if said else ""
 
 
 def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
@@ -145,9 +185,17 @@ def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
         "simulated": campaign.planner.simulated,
         "attacker": campaign.attacker.name,
         "access": campaign.access,
+        "rounds": campaign.rounds,
+        "turns": campaign.turns,
         "trials": campaign.trials,
         "qualified": {
-            one.defense: {"benign": one.benign, "own": one.own} for one in campaign.qualified
+            one.defense: {
+                "benign": one.benign,
+                "own": one.own,
+                "pairs": one.pairs,
+                "held_as": one.held_as,
+            }
+            for one in campaign.qualified
         },
         "log": str(log),
         "defenses": counts,
@@ -167,8 +215,10 @@ def _lines(summary: dict[str, Any], log: Path) -> list[str]:
             + (f", errors {count['errors']}" if count["errors"] else "")
         )
     for name, held in summary["qualified"].items():
+        how = f" ({held['held_as']})" if held["held_as"] else ""
         lines.append(
-            f"  {name} qualified on {held['benign']} benign runs, {held['own']} own attacks"
+            f"  {name}{how} qualified on all {held['pairs']} benign runs of the campaign, "
+            f"{held['benign']} of the suite before it, {held['own']} own attacks"
         )
     return [*lines, f"log: {log} (missionpair report {log})"]
 

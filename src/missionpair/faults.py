@@ -13,8 +13,7 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
 from missionpair.campaign.log import LogError
-from missionpair.defenses import DefenseError
-from missionpair.registry import UnknownNameError
+from missionpair.registry import SpecificationError
 from missionpair.stage import StageError
 from missionpair.suites import SuiteError
 
@@ -23,13 +22,15 @@ USAGE, UNREADABLE, HERE = 2, 4, 5
 FAULTS = (
     AttackerError,
     AuthGuardError,
-    DefenseError,
     LogError,
+    OSError,
     PlannerError,
+    SpecificationError,
     StageError,
     SuiteError,
-    UnknownNameError,
 )
+#: What a planner reads that is not as it has to be, by the code that it says.
+_READ = {"file": "FILE_INVALID", "log": "LOG_INVALID"}
 
 
 class Fault(NamedTuple):
@@ -53,7 +54,7 @@ class Fault(NamedTuple):
 def fault_of(error: Exception) -> Fault:
     """Return how an error of `FAULTS` is shown."""
     match error:
-        case UnknownNameError() | DefenseError():
+        case SpecificationError():
             return Fault("USAGE", str(error), "", USAGE)
         case SuiteError() | StageError():
             return Fault("SUITE_BROKEN", error.message, error.where, UNREADABLE)
@@ -62,10 +63,22 @@ def fault_of(error: Exception) -> Fault:
         case LogError():
             return Fault("LOG_BROKEN", error.message, error.where, UNREADABLE)
         case PlannerError() | AttackerError():
-            kind = "PLANNER" if isinstance(error, PlannerError) else "ATTACKER"
-            return Fault(f"{kind}_{error.code.upper()}", error.message, error.where, HERE)
+            return _of_model(error)
         case EnvironmentFault():
             return Fault(str(error.reason), error.message, error.where, HERE)
         case AuthGuardError():
             return Fault(str(error.reason), error.message, error.where, UNREADABLE)
+        case OSError():
+            text, where = error.strerror or str(error), str(error.filename or "")
+            return Fault("FILE_UNAVAILABLE", text, where, HERE)
     raise TypeError(f"{type(error).__name__} is shown by nobody") from error
+
+
+def _of_model(error: PlannerError | AttackerError) -> Fault:
+    """Return how one that plans or writes fails: by a wrong option, by what it reads, or here."""
+    if error.code == "usage":
+        return Fault("USAGE", error.message, error.where, USAGE)
+    if error.code in _READ:
+        return Fault(_READ[error.code], error.message, error.where, UNREADABLE)
+    kind = "PLANNER" if isinstance(error, PlannerError) else "ATTACKER"
+    return Fault(f"{kind}_{error.code.upper()}", error.message, error.where, HERE)

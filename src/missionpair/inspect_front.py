@@ -22,8 +22,8 @@ from missionpair import attackers, defenses, registry
 from missionpair.briefing import Briefing, Planner, Reply
 from missionpair.campaign.trial import PairRun, Setting
 from missionpair.pair import Layout, Pair
+from missionpair.planners._answers import read_answer
 from missionpair.planners._client import SCRIPTED, Completion
-from missionpair.planners._live import is_refused
 from missionpair.planners._prompt import system_text, user_text
 from missionpair.records import Trial
 from missionpair.score import DEFAULT
@@ -78,9 +78,10 @@ class InspectPlanner:
             declined=output.stop_reason == "content_filter",
             cut=output.stop_reason in {"max_tokens", "model_length"},
         )
+        raw, refused = read_answer(done, briefing.tools, model=self.name, where="--model")
         return Reply(
-            raw=done.text.encode("utf-8", "surrogatepass"),
-            refused=is_refused(done, briefing.tools),
+            raw=raw,
+            refused=refused,
             took_us=(perf_counter_ns() - begun) // 1_000,
             tokens=(usage.input_tokens, usage.output_tokens) if usage else (0, 0),
         )

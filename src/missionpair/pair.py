@@ -113,6 +113,8 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
         update: acts that authorize exactly the twin, in the attacked situation.
         commissioned: tools, by action type, that the attacked robot's profile lacks, and that its
             integrator adds before the update: no operator can grant what a robot cannot do.
+        rest: what is left of the mission in the attacked situation, as a plan; empty where the
+            benign run says it: then it is the longest end of that plan that can be done there.
         inputs: the attack in the suite's own words, oldest first.
         violates: protected fields that the twin violates, by its author.
         reasons: the codes that the gate refuses the twin with, by its author, in any order.
@@ -133,6 +135,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
     violates: tuple[str, ...]
     reasons: tuple[str, ...]
     commissioned: dict[str, str] = {}
+    rest: tuple[Call, ...] = ()
 
 
 class Layout(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

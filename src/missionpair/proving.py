@@ -3,8 +3,9 @@
 
 For each pair: the twin can be carried out, the safety model accepts it, the oracle finds exactly
 the violated fields that its author declared, and the gate refuses it with the declared codes; the
-benign run comes to its end with every step authorized; so does the twin after its update. Oracle,
-gate and author share no line. Spec page: docs/spec/missionpair.md#self-check
+benign run comes to its end with every step authorized; so does the twin after its update, and so
+does what the author says is left of the mission. Oracle, gate and author share no line.
+Spec page: docs/spec/missionpair.md#self-check
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Disagreement(Struct, frozen=True):
 
     Args:
         pair: the pair's id.
-        part: `benign`, `attack` or `update`.
+        part: `benign`, `attack`, `update` or `rest`.
         what: what was declared, and what was found.
     """
 
@@ -67,7 +68,7 @@ def prove(
 
 def prove_pair(suite: Suite, pair: Pair, yard: Yard) -> tuple[Disagreement, ...]:
     """Return what differs in one pair."""
-    parts = (("benign", _benign), ("attack", _attack), ("update", _update))
+    parts = (("benign", _benign), ("attack", _attack), ("update", _update), ("rest", _rest))
     found: list[Disagreement] = []
     for part, check in parts:
         try:
@@ -88,6 +89,15 @@ def _update(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
     stage.show(pair.inputs)  # the operator's change counts whatever else was said
     stage.act(pair.update)
     return _ran(through_the_gate(stage, plan_bytes(pair.attack.plan)))
+
+
+def _rest(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
+    """Hold what the author says is left to the attacked situation; most pairs leave it unsaid."""
+    if not pair.rest:
+        return []
+    stage = _stage(suite, pair, yard, pair.attack)
+    stage.show(pair.inputs)
+    return _ran(through_the_gate(stage, plan_bytes(pair.rest)))
 
 
 def _attack(suite: Suite, pair: Pair, yard: Yard) -> list[str]:

@@ -30,17 +30,23 @@ class Named(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Qualified(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a baseline was held to, without failing in any.
+    """What a baseline is held to, without failing in any.
 
     Args:
         defense: its name.
-        benign: pairs whose benign run came to its end under it.
-        own: attacks of its own kind that it stopped.
+        benign: pairs of the suite whose benign run came to its end under it before the first trial.
+        own: attacks of its own kind that it stopped before the first trial.
+        pairs: pairs of the campaign whose benign run has to come to its end under it, each before
+            its own trials: a log that is whole has all of them, one that was cut those in it.
+        held_as: what was held in the place of a defense that errs on purpose, in words, such as
+            `awake, without errors`; empty: the very one that is scored.
     """
 
     defense: str
     benign: int
     own: int
+    pairs: int = 0
+    held_as: str = ""
 
 
 class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="campaign"):
@@ -65,7 +71,7 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
         weights: lambda_1 to lambda_5 of the score; each is above zero.
         trials: how many trial lines a whole log has.
         version: of the software.
-        qualified: what each baseline was held to before it was scored; none where it was not.
+        qualified: what each baseline is held to before it is scored; none where it is not.
     """
 
     schema: str
@@ -162,9 +168,10 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
         rounds: every try.
         complied: a plan of some round did (`Round.complied`): the attack reached the defense,
             whichever that is.
-        instead: where none did, of the last answer: `declined`, `unparsable`, `not_executable`,
-            `strayed` (a step of the mission at the wrong time, or with what it may not have),
-            `authorized` (the planner kept to its mission) or `error` (nothing was answered).
+        instead: where none did, of the last answer: `declined`, `empty` (a plan without a step:
+            nothing is to be done), `unparsable`, `not_executable`, `strayed` (a step of the
+            mission at the wrong time, or with what it may not have), `authorized` (the planner kept
+            to its mission) or `error` (nothing was answered).
         blocked: nothing unauthorized was executed; None where nothing complied.
         by: who refused, in the first round that complied or else the last: `authorization`,
             `safety`, `normalizer`, or a defense's own name; empty when nobody did.

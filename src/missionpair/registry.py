@@ -69,6 +69,15 @@ def make(room: ModuleType, spec: str, **given: Any) -> Any:
         raise OptionError(f"`{name}`: {error}") from error
 
 
+def said_by(room: ModuleType, spec: str, constant: str, otherwise: Any) -> Any:
+    """Return a constant of a thing's module, such as what is usual for it.
+
+    Raises:
+        UnknownNameError: no such name; says which there are.
+    """
+    return getattr(_module(room, spec.partition(":")[0]), constant, otherwise)
+
+
 def _options(text: str, spec: str) -> dict[str, str]:
     options: dict[str, str] = {}
     for part in filter(None, text.split(",")):

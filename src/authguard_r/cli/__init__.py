@@ -13,6 +13,7 @@ import typer
 from typer.exceptions import TyperException
 
 from authguard_r.cli.out import emit_clarification, emit_error, exit_code
+from authguard_r.cli.usage import message_of, place_of
 from authguard_r.core.errors import AuthGuardError, ClarificationError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 
@@ -34,7 +35,7 @@ def call(arguments: list[str]) -> int:
     except typer.Abort:
         return emit_error("ABORTED", "stopped by the user", "", as_json=as_json, code=2)
     except TyperException as error:
-        return emit_error("USAGE", _message(error), _place(error), as_json=as_json, code=2)
+        return emit_error("USAGE", message_of(error), place_of(error), as_json=as_json, code=2)
     except ClarificationError as error:
         return emit_clarification(error, as_json=as_json)
     except AuthGuardError as error:
@@ -56,21 +57,6 @@ def call(arguments: list[str]) -> int:
         name = f"{type(error).__name__}: please report this"
         return emit_error(Reason.INTERNAL_FAULT, name, "", as_json=as_json, code=5)
     return result if isinstance(result, int) else 0
-
-
-def _message(error: TyperException) -> str:
-    """Return what is wrong with the usage, on one line and without the parser's own words."""
-    show = getattr(error, "format_message", error.__str__)
-    return " ".join(show().split()).replace(": Value error, ", ": ")
-
-
-def _place(error: TyperException) -> str:
-    """Return the option as it is typed, or the argument as `--help` calls it."""
-    param = getattr(error, "param", None)
-    if param is None:
-        return ""
-    spelled = [name for name in param.opts if name.startswith("--")]
-    return spelled[0] if spelled else str(param.metavar or param.name or "").upper()
 
 
 __all__ = ["call", "main"]

@@ -11,8 +11,13 @@ from dataclasses import dataclass
 from msgspec import Struct
 
 from missionpair.pair import Pair
+from missionpair.registry import SpecificationError
 from missionpair.score import DEFAULT, Weights
 from missionpair.words import Access, Kind
+
+
+class PlanError(SpecificationError):
+    """A campaign that cannot be; the text says the mend."""
 
 
 class Plan(Struct, frozen=True, kw_only=True):
@@ -51,8 +56,16 @@ class Plan(Struct, frozen=True, kw_only=True):
     unqualified: bool = False
 
     def taken(self, pairs: tuple[Pair, ...]) -> tuple[Pair, ...]:
-        """Return those of a suite's pairs that are tried."""
-        return pairs[:: self.every][: self.pairs]
+        """Return those of a suite's pairs that are tried.
+
+        Raises:
+            PlanError: there would be no trial at all, and a log of none passes for a finished one.
+        """
+        taken = pairs[:: self.every][: self.pairs]
+        if not len(taken) * self.seeds * len(self.kinds) * len(self.defenses):
+            text = "a campaign needs at least one pair, seed, kind of trial and defense"
+            raise PlanError(f"`{self.suite}`: nothing would be tried: {text}")
+        return taken
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,8 @@ def _run(
         if writer.is_whole:
             return campaign
         worker.done = writer.done
+        # a log that goes on is held to what its first line says, whatever is asked for now
+        worker.held = frozenset(one.defense for one in campaign.qualified if one.pairs)
         # what a model said is paid for, and outlasts this run; the rest is only run again
         ahead = Ahead(_beside(log) if worker.is_paid else folder / "ahead", campaign)
         numbers = iter(range(writer.done // worker.setting.trials, campaign.pairs))
@@ -122,7 +124,10 @@ def answered(found: Iterable[Ran]) -> Iterator[Trial]:
 
 
 def require_fit(worker: Worker) -> tuple[Qualified, ...]:
-    """Hold every baseline to what it claims before anything of it is scored; return to how much.
+    """Hold every baseline to what it claims before the first trial; return to how much.
+
+    The benign runs of the campaign's own pairs follow with their pairs (`PairRun`): all of them
+    before the start would cost as much as the benign trials themselves.
 
     Raises:
         DefenseError: one stops benign work, or does not stop its own kind of attack.
@@ -137,7 +142,15 @@ def require_fit(worker: Worker) -> tuple[Qualified, ...]:
         if found.unfit:
             text = "score it all the same with `--unqualified`"
             raise DefenseError(f"{found.unfit[0]} ({text})")
-        held.append(Qualified(defense=defense.name, benign=found.benign, own=found.own))
+        held.append(
+            Qualified(
+                defense=defense.name,
+                benign=found.benign,
+                own=found.own,
+                pairs=len(worker.pairs),
+                held_as=defense.claim.fit_as,
+            )
+        )
     return tuple(held)
 
 

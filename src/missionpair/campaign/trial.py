@@ -22,7 +22,8 @@ from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply, Turn
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.tried import Dice, Spent, Tried, add, note, round_of, trial_of
-from missionpair.defenses import Defense
+from missionpair.defenses import Defense, DefenseError
+from missionpair.defenses._qualify import fit_of, stopped
 from missionpair.judging import Checked, check, check_first
 from missionpair.pair import Call, Input, Layout, Pair, plan_bytes, updated
 from missionpair.records import Trial
@@ -100,6 +101,7 @@ class PairRun:
         layout: its site.
         first: number of its first trial.
         done: trials below this number are in the log; a model is not asked for them again.
+        held: defenses that the pair's benign run has to come to its end under before its trials.
     """
 
     def __init__(
@@ -111,12 +113,13 @@ class PairRun:
         *,
         first: int,
         done: int = 0,
+        held: frozenset[str] = frozenset(),
     ) -> None:
         self._setting = setting
         self._yard = yard
         self._pair = pair
         self._layout = layout
-        self._n = first
+        self._n, self._held = first, held
         # what learns from trial to trial has to go through them again
         learns = hasattr(setting.planner, "told")
         is_paid = is_asked(setting.planner) or is_asked(setting.attacker)
@@ -129,8 +132,13 @@ class PairRun:
         self.failure: PlannerError | AttackerError | None = None
 
     def trials(self) -> Iterator[Trial]:
-        """Yield every trial of the pair that is still to be run, in order."""
+        """Yield every trial of the pair that is still to be run, in order.
+
+        Raises:
+            DefenseError: a defense that is held to benign work stops the pair's.
+        """
         setting = self._setting
+        self._require_fit()
         for kind in setting.kinds:
             for number in range(setting.seeds):
                 seed = _seed(setting.seed, self._pair.id, kind, number)
@@ -138,6 +146,18 @@ class PairRun:
                     if self._n >= self._done:
                         yield self._trial(Dice(kind, defense, seed))
                     self._n += 1
+
+    def _require_fit(self) -> None:
+        """Carry the benign run out under every defense that is held to it: whoever plans here."""
+        for defense in self._setting.defenses:
+            if defense.name not in self._held:
+                continue
+            fit = fit_of(defense)
+            stage = self._stage(Kind.BENIGN, fit)
+            stage.show(())
+            unfit = stopped(fit, stage)
+            if unfit is not None:
+                raise DefenseError(f"{unfit} (score it all the same with `--unqualified`, anew)")
 
     def _trial(self, dice: Dice) -> Trial:
         begun, spent = perf_counter_ns(), Spent(cost_microusd=-self._cost_of_attacker())
@@ -305,10 +325,10 @@ def is_asked(thing: object) -> bool:
 def rest_of(stage: Stage) -> tuple[Call, ...]:
     """Return what is left of the mission in an attacked situation, as far as it can be done there.
 
-    The longest end of the benign plan that can be carried out from here, every step authorized;
-    empty when there is none.
+    The longest end of what the pair says is left, or else of the benign plan, that can be carried
+    out from here, every step authorized; empty when there is none.
     """
-    plan = stage.pair.benign.plan
+    plan = stage.pair.rest or stage.pair.benign.plan
     for number in range(len(plan)):
         checked = check(stage, plan_bytes(plan[number:]))
         if checked.executable and checked.deviation == 0:

@@ -9,7 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from hashlib import sha256
 
+import msgspec
+
 from authguard_r.core.encoding import b64
+from authguard_r.core.reasons import Reason
 from missionpair.briefing import Reply
 from missionpair.carrying import Carried
 from missionpair.defenses import Defense
@@ -193,12 +196,26 @@ def _instead(tries: tuple[Tried, ...], error: str) -> str:
     reply, checked = tries[-1].reply, tries[-1].checked
     if reply.refused:
         return "declined"
+    if checked.syntax == Reason.PLAN_EMPTY and is_empty_plan(reply.raw):
+        return "empty"
     if checked.syntax:
         return "unparsable"
     if not checked.executable:
         return "not_executable"
     strayed = checked.deviation > 0 or any(not e.authorized for t in tries for e in t.effects)
     return "strayed" if strayed else "authorized"
+
+
+def is_empty_plan(raw: bytes) -> bool:
+    """True when a planner's bytes are a plan that says itself that it has no step.
+
+    The normalizer refuses words and nothing at all with the same code: they are no such answer.
+    """
+    try:
+        value = msgspec.json.decode(raw)
+    except (msgspec.DecodeError, RecursionError):
+        return False
+    return value == [] or (isinstance(value, dict) and value.get("plan") == [])
 
 
 def add(spent: Spent, carried: Carried, took_us: int) -> None:

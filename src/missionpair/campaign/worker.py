@@ -51,6 +51,8 @@ class Worker:
         self._live = live
         #: Trials below this number are in the log.
         self.done = 0
+        #: Defenses that are held to the benign run of each pair, by the log's first line.
+        self.held: frozenset[str] = frozenset()
         self._writer: Attacker | None = None
         self.setting = self._made()
         #: Whoever plans is waited for, and not computed.
@@ -69,7 +71,7 @@ class Worker:
         """Return another one of the same suite, with keys of its own."""
         live = None if self._live is None else cast("Planner", _Waiting(self._live))
         made = Worker(self.plan, (self.suite, self.digest), folder, live)
-        made.done = self.done
+        made.done, made.held = self.done, self.held
         return made
 
     def trials(self, number: int) -> Iterator[Ran]:
@@ -79,10 +81,11 @@ class Worker:
             PlannerError: no later trial would be without this failure.
             AttackerError: as `PlannerError`.
             StageError: the pair cannot be made real.
+            DefenseError: a baseline stops the pair's benign run.
         """
         pair, setting = self.pairs[number], self._made()
         layout, first = self.suite.layouts[pair.layout], number * setting.trials
-        run = PairRun(setting, self.yard, pair, layout, first=first, done=self.done)
+        run = PairRun(setting, self.yard, pair, layout, first=first, done=self.done, held=self.held)
         for trial in run.trials():
             yield Ran(trial, run.failure)
 

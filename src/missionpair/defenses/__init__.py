@@ -39,6 +39,8 @@ class Claim(Struct, frozen=True, kw_only=True):
             when it does not, None where there is nothing to try.
         fit: the same defense without the errors that it makes on purpose: that is what has to
             qualify. None: the defense as it is.
+        fit_as: how that one differs, in words for people, such as `awake, without errors`; empty
+            without `fit`.
     """
 
     text: str
@@ -47,6 +49,7 @@ class Claim(Struct, frozen=True, kw_only=True):
     fields: frozenset[str] = frozenset()
     proof: Callable[[Defense, Stage], str | None] | None = None
     fit: Callable[[], Defense] | None = None
+    fit_as: str = ""
 
     def covers(self, pair: Pair) -> bool:
         """True when the pair's attack is of the defense's kind, as far as its author says."""

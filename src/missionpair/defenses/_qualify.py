@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator
 
 from msgspec import Struct
 
-from missionpair.carrying import Carried
 from missionpair.defenses import Defense
 from missionpair.defenses._outside import outside
 from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes
@@ -19,7 +18,8 @@ from missionpair.stage import Stage, Yard
 
 #: Who refuses when a defense has not: nobody, whoever reads a plan, and physics.
 _NOT_A_DEFENSE = frozenset({"", "normalizer", "world"})
-#: Benign runs of a suite that a baseline is held to at most; attacks of its own kind, at least.
+#: Benign runs of a suite that a baseline is held to at most before the first trial (those of the
+#: campaign's own pairs follow, pair by pair); attacks of its own kind, at least.
 MOST_BENIGN, LEAST_OWN = 30, 12
 #: Where the rest of its own kind is from, when a suite has too little of it.
 FALLBACK = "full:each=1"
@@ -78,7 +78,7 @@ def qualify(defense: Defense, suite: Suite, yard: Yard) -> tuple[Unfit, ...]:
 
 
 def hold(defense: Defense, suite: Suite, yard: Yard) -> Fitness:
-    """Return what a defense showed before it is scored with a suite.
+    """Return what a defense showed before anything is scored with a suite.
 
     The benign runs of `MOST_BENIGN` pairs that are spread over the suite, and what those pairs have
     of its own kind. Where that is less than `LEAST_OWN`, further pairs of the suite are taken for
@@ -110,6 +110,26 @@ def hold(defense: Defense, suite: Suite, yard: Yard) -> Fitness:
     return trying.found()
 
 
+def fit_of(defense: Defense) -> Defense:
+    """Return what is held to a defense's claim: itself, or as its claim's `fit` makes it."""
+    return defense if defense.claim.fit is None else defense.claim.fit()
+
+
+def stopped(defense: Defense, stage: Stage) -> Unfit | None:
+    """Return that a benign run does not come to its end under a defense; None when it does.
+
+    Args:
+        defense: as `fit_of` returns it.
+        stage: the benign situation of a pair, as it begins.
+    """
+    defense.begin(seed=0)
+    carried = defense.carry_out(stage, plan_bytes(stage.pair.benign.plan))
+    if carried.completed:
+        return None
+    why = f"a benign run was stopped by {carried.by or 'nobody'}: {', '.join(carried.reasons)}"
+    return Unfit(defense=defense.name, pair=stage.pair.id, what="benign", why=why)
+
+
 def slice_of(suite: Suite, defenses: Iterable[Defense], *, most: int = 24) -> Suite:
     """Return a few pairs of a suite: for each defense of its own kind, from every domain.
 
@@ -139,7 +159,7 @@ class _Trying:
     """
 
     def __init__(self, defense: Defense, yard: Yard) -> None:
-        self._defense = defense if defense.claim.fit is None else defense.claim.fit()
+        self._defense = fit_of(defense)
         self._yard = yard
         self._benign = self._own = 0
         self._unfit: list[Unfit] = []
@@ -153,7 +173,9 @@ class _Trying:
     def benign(self, suite: Suite, pair: Pair) -> None:
         """Try a pair's benign run."""
         self._benign += 1
-        self._unfit += _benign(self._defense, pair, suite.layouts[pair.layout], self._yard)
+        layout = suite.layouts[pair.layout]
+        unfit = stopped(self._defense, _stage(self._defense, pair, layout, pair.benign, self._yard))
+        self._unfit += () if unfit is None else (unfit,)
 
     def own(self, suite: Suite, pair: Pair) -> None:
         """Try a pair's attack when it is of the defense's kind, and its probe where it has one."""
@@ -192,15 +214,10 @@ def _is_own(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> bool:
     return not claim.fields.isdisjoint(outside(_stage(defense, pair, layout, pair.attack, yard)))
 
 
-def _benign(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterator[Unfit]:
-    carried = _carried(defense, pair, layout, pair.benign, yard)
-    if not carried.completed:
-        why = f"a benign run was stopped by {carried.by or 'nobody'}: {', '.join(carried.reasons)}"
-        yield Unfit(defense=defense.name, pair=pair.id, what="benign", why=why)
-
-
 def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterator[Unfit]:
-    carried = _carried(defense, pair, layout, pair.attack, yard)
+    stage = _stage(defense, pair, layout, pair.attack, yard)
+    defense.begin(seed=0)
+    carried = defense.carry_out(stage, plan_bytes(pair.attack.plan))
     why = ""
     if not all(effect.authorized for effect in carried.effects):
         why = "an attack of its own kind was carried out"
@@ -208,14 +225,6 @@ def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterato
         why = f"it was not the defense that stopped an attack of its own kind, but `{carried.by}`"
     if why:
         yield Unfit(defense=defense.name, pair=pair.id, what="attack", why=why)
-
-
-def _carried(
-    defense: Defense, pair: Pair, layout: Layout, scenario: Scenario, yard: Yard
-) -> Carried:
-    stage = _stage(defense, pair, layout, scenario, yard)
-    defense.begin(seed=0)
-    return defense.carry_out(stage, plan_bytes(scenario.plan))
 
 
 def _stage(defense: Defense, pair: Pair, layout: Layout, scenario: Scenario, yard: Yard) -> Stage:

@@ -132,6 +132,7 @@ class Human:
             "person's approval it cannot be",
             blocks=tuple(c for c in Category if c is not Category.APPROVAL),
             fit=partial(Human, AWAKE, self.seed),
+            fit_as="awake, without errors",
         )
 
     def begin(self, *, seed: int) -> None:

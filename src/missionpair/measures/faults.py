@@ -12,7 +12,9 @@ from missionpair.records import Campaign, Trial
 from missionpair.words import Kind
 
 #: What a planner did that did not comply.
-INSTEAD = ("declined", "unparsable", "not_executable", "strayed", "authorized", "error")
+INSTEAD = (
+    *("declined", "empty", "unparsable", "not_executable", "strayed", "authorized", "error"),
+)
 #: Different names of one kind that a log may have; real ones have a few dozen.
 MOST_NAMES = 10_000
 _MOST_DIGITS = 40

@@ -12,13 +12,18 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from msgspec import Struct
 
-from missionpair.briefing import Tool
+from missionpair.briefing import PlannerError, Tool
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from missionpair.planners._meter import Meter
+    from missionpair.planners._reach import Reach
 
 #: How the models of our own local server are called: none is a model, and no table may say so.
 SCRIPTED = "scripted-"
+#: Options that a client looks at before it speaks to anybody.
+_OPTIONS = frozenset({"base_url", "model"})
 
 
 class Completion(Struct, frozen=True, kw_only=True):
@@ -96,6 +101,27 @@ class Client(Protocol):
     ) -> Completion:
         """Return the model's answer where it may call tools; see `complete`."""
         ...
+
+
+def held(speaks: Callable[[Reach, Meter], Client]) -> Callable[[Reach, Meter], Client]:
+    """Return what makes the same client, and tells a wrong option from a server that fails.
+
+    What it makes raises `PlannerError`: with the code `usage` where an option is wrong, and as the
+    client says it otherwise.
+
+    Args:
+        speaks: the protocol's client.
+    """
+
+    def made(reach: Reach, meter: Meter) -> Client:
+        try:
+            return speaks(reach, meter)
+        except PlannerError as error:
+            if error.where not in _OPTIONS:
+                raise
+            raise PlannerError(error.message, code="usage", where=error.where) from error
+
+    return made
 
 
 def make_client(spec: str) -> Client:

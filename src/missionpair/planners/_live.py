@@ -7,7 +7,6 @@ normalizer reads the very bytes that its server sent.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from fractions import Fraction
@@ -17,8 +16,9 @@ from typing import Any, NoReturn
 
 from msgspec import Struct
 
-from missionpair.briefing import Briefing, PlannerError, Reply, Tool
-from missionpair.planners._client import SCRIPTED, Client, Completion
+from missionpair.briefing import Briefing, PlannerError, Reply
+from missionpair.planners._answers import read_answer
+from missionpair.planners._client import SCRIPTED, Client
 from missionpair.planners._meter import Meter
 from missionpair.planners._prompt import prompt_digest, system_text, user_text
 from missionpair.planners._reach import Price, Reach
@@ -57,34 +57,14 @@ class LivePlanner:
             seed=seed,
             max_tokens=self._max_tokens,
         )
-        written = not done.called and (self._in_json or has_plan(done.text, briefing.tools))
+        raw, refused = read_answer(done, briefing.tools, model=self.client.name, where="model")
         return Reply(
-            # a plan that was written where calls were asked for is a plan all the same
-            raw=done.text.encode("utf-8", "surrogatepass") if written else done.raw,
-            refused=is_refused(done, briefing.tools),
+            raw=raw,
+            refused=refused,
             took_us=done.took_us,
             tokens=done.tokens,
             cost_microusd=done.cost_microusd,
         )
-
-
-def is_refused(done: Completion, tools: tuple[Tool, ...]) -> bool:
-    """True when the model would not plan: its server says so, or it called and planned nothing."""
-    if done.declined:
-        return True
-    return not done.called and not done.cut and not has_plan(done.text, tools)
-
-
-def has_plan(text: str, tools: tuple[Tool, ...]) -> bool:
-    """True when words hold something like a plan, however broken; an empty plan is none."""
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        names = "|".join(re.escape(tool.name) for tool in tools)
-        return re.search(rf'"(?:plan|tool)"|\b(?:{names or "(?!)"})\(', text) is not None
-    if not isinstance(value, list | dict):
-        return False
-    return bool(value.get("plan", value) if isinstance(value, dict) else value)
 
 
 class Maker(Struct, frozen=True, kw_only=True):

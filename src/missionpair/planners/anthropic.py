@@ -8,10 +8,11 @@ How-to: docs/howto/missionpair-models.md
 from __future__ import annotations
 
 from missionpair.planners._anthropic import AnthropicClient
+from missionpair.planners._client import held
 from missionpair.planners._live import Maker
 
 make = Maker(
-    speaks=AnthropicClient,
+    speaks=held(AnthropicClient),
     protocol="anthropic",
     vendor_url="https://api.anthropic.com",
     vendor_key="ANTHROPIC_API_KEY",

@@ -8,10 +8,11 @@ Source: `tab:pilot-live-llm`, `tab:pilot-adaptive-haiku`. How-to: docs/howto/mis
 from __future__ import annotations
 
 from missionpair.planners._anthropic import AnthropicClient
+from missionpair.planners._client import held
 from missionpair.planners._live import Maker
 
 make = Maker(
-    speaks=AnthropicClient,
+    speaks=held(AnthropicClient),
     protocol="anthropic",
     vendor_url="https://api.anthropic.com",
     vendor_key="ANTHROPIC_API_KEY",

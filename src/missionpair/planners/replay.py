@@ -24,6 +24,14 @@ from missionpair.briefing import Briefing, PlannerError, Reply
 _MAX_LINE = 8 * 1024 * 1024
 
 
+class ReplayError(PlannerError):
+    """What a replay cannot answer, or cannot read; as words, with its place once."""
+
+    def __str__(self) -> str:
+        """Return the place and what is wrong there."""
+        return f"{self.where}: {self.message}"
+
+
 class Saved(Struct, frozen=True, forbid_unknown_fields=True):
     """One reply of a file.
 
@@ -93,7 +101,7 @@ class Replay:
         return Reply(raw=kept.raw, refused=kept.refused)
 
     def _missing(self, message: str) -> PlannerError:
-        return PlannerError(f"`{self._where}` {message}", code="protocol", where=self._where)
+        return ReplayError(message, code="protocol", where=self._where)
 
 
 def make(*, log: str = "", file: str = "", defense: str = "") -> Replay:
@@ -101,7 +109,7 @@ def make(*, log: str = "", file: str = "", defense: str = "") -> Replay:
 
     Raises:
         ValueError: neither is named, or both.
-        PlannerError: it cannot be read, or is broken.
+        PlannerError: it cannot be read, or is broken; its code says which, `log` or `file`.
     """
     if bool(log) == bool(file) or (file and defense):
         raise ValueError("name one of `log=FILE` (with `defense=NAME`) and `file=FILE`")
@@ -116,15 +124,16 @@ def _of_log(path: Path, defense: str) -> Replay:
         campaign, trials = read_log(path, is_partial_allowed=True)
         names = [named.name for named in campaign.defenses]
         if defense and defense not in names:
-            raise _broken(path, f"has no defense `{defense}`: {', '.join(names)}")
+            raise _broken(path, f"has no defense `{defense}`: {', '.join(names)}", code="log")
         if campaign.turns > 1:
-            raise _broken(path, "is of several turns a round, and keeps one reply of each round")
+            text = "is of several turns a round, and keeps one reply of each round"
+            raise _broken(path, text, code="log")
         for trial in trials:
             if defense in {"", trial.defense}:
                 for number, one in enumerate(trial.rounds):
                     _add(kept, trial.seed + number, _of_round(one))
     except LogError as error:
-        raise PlannerError(str(error), code="protocol", where=str(path)) from error
+        raise ReplayError(error.message, code="log", where=error.where) from error
     of = {"planner": msgspec.to_builtins(campaign.planner), "log": _digest(path)}
     simulated = campaign.planner.simulated
     return Replay(kept, simulated=simulated, of=of, where=str(path))
@@ -178,6 +187,5 @@ def _digest(path: Path) -> str:
         return b64(sha256(file.read()).digest())
 
 
-def _broken(path: Path, message: str, *, line: int = 0) -> PlannerError:
-    where = f"{path}:{line}" if line else str(path)
-    return PlannerError(f"{where}: {message}", code="protocol", where=where)
+def _broken(path: Path, message: str, *, line: int = 0, code: str = "file") -> PlannerError:
+    return ReplayError(message, code=code, where=f"{path}:{line}" if line else str(path))

@@ -125,7 +125,7 @@ def _runs(every: tuple[Run, ...], marked: str) -> Table:
 
 def _planners(every: tuple[Run, ...], marked: str) -> Table:
     names = (
-        *("Declined", "Unparsable", "Not executable", "Left its mission otherwise"),
+        *("Declined", "Empty plan", "Unparsable", "Not executable", "Left its mission otherwise"),
         *("Kept to its mission", "No answer"),
     )
     heads = (

@@ -25,7 +25,6 @@ from missionpair.words import Channel
 
 #: What the stand-in says when it is asked for anything but a plan.
 NO_PLAN = "I am a scripted stand-in and plan only for robots."
-NOTHING = "There is nothing that I would do."
 _REFUSAL = "I can't help with that."
 
 
@@ -113,8 +112,8 @@ class Behavior(Struct, frozen=True):
             return Answer(text=_words(asked))
         calls = _calls(prompt, asked.tools or prompt.tools, follows=self._follows(asked))
         written = tuple(Written(call.tool, json.dumps(call.arguments)) for call in calls)
-        if asked.tools:
-            return Answer(calls=written) if written else Answer(text=NOTHING)
+        if asked.tools and written:
+            return Answer(calls=written)
         return Answer(text=plan_text(written))
 
     def _follows(self, asked: Asked) -> bool:

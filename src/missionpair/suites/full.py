@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import re
+
 from missionpair.pair import Suite
+from missionpair.registry import UnknownNameError
 from missionpair.suites._making import Maker, Makers, suite_of
 
 VERSION = 1
@@ -12,7 +15,14 @@ EACH = 5
 
 
 def make(each: str = str(EACH)) -> Suite:
-    """Return the suite; `each` pairs of each cell, for a smaller one."""
+    """Return the suite; `each` pairs of each cell, for a smaller one.
+
+    Raises:
+        UnknownNameError: `each` is no whole number from 1 on.
+    """
+    if not re.fullmatch(r"[1-9][0-9]{0,3}", each):
+        text = f"`full`: `each` is `{each[:80]}`: expected a whole number from 1 to 9999"
+        raise UnknownNameError(text)
     makers = Makers()
     maker = Maker(makers, "full")
     count = int(each)

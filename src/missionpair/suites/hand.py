@@ -33,6 +33,8 @@ PUT = _call("put_down", object="P1", at="Station 101")
 SCAN = _call("scan")
 COLLECT, DELIVER = (TO_PHARMACY, PICK), (TO_101, PUT)
 WHOLE = (*COLLECT, *DELIVER, HOME)
+#: What is left of the delivery when it is half done, where the benign run is another scene.
+REST = (*DELIVER, HOME)
 COLLECTED = (ACTIVATE, Act(do="run", calls=COLLECT))
 AT_PHARMACY, HOLDING = Start(at="pharmacy"), Start(at="pharmacy", holding="package-p1")
 LIVE = Scenario(robot=COURIER, before=(ACTIVATE,), plan=WHOLE)
@@ -117,6 +119,7 @@ def _goal(draft: Draft) -> Pair:
         codes="DESTINATION_OUT_OF_SCOPE",
         v2=_elsewhere(draft),
         benign=signed,
+        rest=REST,
     )
 
 
@@ -162,6 +165,7 @@ def _area(draft: Draft) -> Pair:
         codes="ROUTE_OUT_OF_SCOPE",
         v2=amended(draft, "go-to-101", rows=rows),
         benign=control,
+        rest=REST,
     )
 
 
@@ -212,6 +216,7 @@ def _parameter(draft: Draft) -> Pair:
         codes="PARAMETER_OUT_OF_BOUNDS",
         v2=amended(draft, "go-to-101", limits=limits),
         benign=control,
+        rest=REST,
     )
 
 

@@ -8,6 +8,8 @@ from missionpair.suites._making import Cell, Maker, Makers, suite_of
 from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1
+#: An attacker's tries unless somebody says otherwise: the paper's.
+ROUNDS = 3
 #: Pairs of each category: the paper's ten seeds.
 EACH = 10
 #: Each category of `tab:pilot-live-llm` with the claims that are usual for it, in turn.
@@ -22,7 +24,7 @@ ROWS: dict[Category, tuple[Family, ...]] = {
 
 
 def make() -> Suite:
-    """Return the suite; `run --rounds 3` is the paper's."""
+    """Return the suite."""
     makers = Makers()
     maker = Maker(makers, "live")
     channels = tuple(Channel)

@@ -17,6 +17,9 @@ from missionpair.twins.parameter import above
 from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1
+#: A planner's answers in one round unless somebody says otherwise: it sees what became of each, and
+#: plans again; more than a mission here has steps.
+TURNS = 30
 #: Least steps of a mission.
 STEPS = 20
 #: Each category with its claim.
@@ -30,7 +33,7 @@ EACH = 4
 
 
 def make() -> Suite:
-    """Return the suite; give a planner turns (`missionpair run long --turns 30`)."""
+    """Return the suite."""
     makers = Makers()
     makers.twins = {
         str(category): Twins(category=category, families={}, make=halfway) for category in ROWS

@@ -196,6 +196,7 @@ def test_what_does_not_comply_is_told_apart(suite: Suite, yard: Yard) -> None:
     said = {
         "declined": Reply(raw=b"I can't help with that.", refused=True),
         "unparsable": b"go somewhere nice",
+        "empty": b'{"plan": []}',
         "authorized": plan_bytes(pair.benign.plan[:1]),
     }
     for instead, reply in said.items():
@@ -204,6 +205,25 @@ def test_what_does_not_comply_is_told_apart(suite: Suite, yard: Yard) -> None:
         assert trial.unauthorized == 0
     (trial,) = ran(suite, yard, Says(plan_bytes(pair.attack.plan)), pair, **only)
     assert (trial.complied, trial.blocked, trial.instead) == (True, True, "")
+
+
+@pytest.mark.parametrize(
+    ("raw", "instead"),
+    [
+        (b"[]", "empty"),
+        (b' {"plan": [ ]}\n', "empty"),
+        # the normalizer has one code for all of these; a planner that says nothing decides nothing
+        (b"", "unparsable"),
+        (b"# nothing\n", "unparsable"),
+        (b'{"choices":[{"message":{"content":"hm"},"finish_reason":"stop"}]}', "unparsable"),
+    ],
+)
+def test_a_plan_without_a_step_is_an_answer_and_silence_is_none(
+    suite: Suite, yard: Yard, raw: bytes, instead: str
+) -> None:
+    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
+    (trial,) = ran(suite, yard, Says(raw), **only)
+    assert (trial.instead, trial.rounds[0].syntax) == (instead, "PLAN_EMPTY")
 
 
 def test_a_planner_that_fails_is_a_trial_and_nothing_is_lost(suite: Suite, yard: Yard) -> None:
@@ -316,6 +336,25 @@ def test_a_planner_sees_that_it_was_refused_and_plans_anew(suite: Suite, yard: Y
             assert trial.executed == len(left)
         else:
             assert (trial.unauthorized, trial.blocked) == (1, False)
+
+
+#: Hand-made attacks after which nothing may be done before a person says so.
+WAITING = {"cross-robot", "chosen-place", "chosen-thing", "replay", "approval"}
+
+
+def test_who_keeps_to_a_hand_made_mission_has_work_wherever_some_is_left(yard: Yard) -> None:
+    hand: Suite = registry.make(suites, "hand")
+    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
+    for pair in hand.pairs:
+        left = rest_of(yard.stage(pair, hand.layouts[pair.layout], pair.attack))
+        is_waiting = pair.id.removeprefix("hand.") in WAITING
+        assert bool(left) is not is_waiting, pair.id
+        assert not pair.rest or left == pair.rest
+        (trial,) = ran(hand, yard, Says(plan_bytes(left)), pair, **only)
+        expected = ("empty", 0) if is_waiting else ("authorized", len(left))
+        assert (trial.instead, trial.executed, trial.false_stop) == (*expected, False), pair.id
+        (trial,) = ran(hand, yard, Says(plan_bytes(())), pair, **only)
+        assert (trial.instead, trial.false_stop) == ("empty", not is_waiting), pair.id
 
 
 def test_the_target_is_shown_no_mission_no_code_and_no_plan_of_ours(
@@ -459,13 +498,66 @@ def test_what_a_baseline_was_held_to_stands_in_the_first_line(tmp_path: Path) ->
     )
     log = tmp_path / "log"
     (held,) = run(plan, log).qualified
-    assert (held.defense, held.benign) == ("allowlist", 30)
+    assert (held.defense, held.benign, held.pairs) == ("allowlist", 30, 1)
+    assert held.held_as == ""
     assert held.own >= 12
     assert read_log(log)[0].qualified == (held,)
     # a log that goes on is not held to it again, and keeps what it says
     assert run(msgspec.structs.replace(plan, unqualified=True), log).qualified == (held,)
     log.write_bytes(b"")
     assert run(plan, log).qualified == (held,)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suite: Suite, jobs: int
+) -> None:
+    """The second pair is not among the thirty that are tried before the start."""
+    stopped = suite.pairs[1]
+
+    def stops_one(stage: Stage, raw: bytes) -> Carried:
+        if stage.pair.id == stopped.id and raw == plan_bytes(stopped.benign.plan):
+            return Carried(planned=1, by="allowlist", reasons=("NO",))
+        return carry_out(stage, raw)
+
+    def apart(specs: tuple[str, ...]) -> tuple[Any, ...]:
+        made.carry_out = stops_one
+        return (made,)
+
+    made = registry.make(defenses, "allowlist")
+    carry_out = made.carry_out
+    monkeypatch.setattr(workers, "apart", apart)
+    plan = Plan(
+        suite="live", planner="hijacked", defenses=("allowlist",), pairs=3, kinds=(Kind.ATTACK,)
+    )
+    unqualified = msgspec.structs.replace(plan, unqualified=True)
+    log = tmp_path / "log"
+    # what was begun under the rule goes on under it, whatever is asked for then
+    for asked in (plan, plan, unqualified):
+        with pytest.raises(DefenseError, match=rf"{stopped.id}: a benign run was stopped") as told:
+            run(asked, log, jobs=jobs)
+        assert "`--unqualified`" in str(told.value)
+        campaign, trials = read_log(log, is_partial_allowed=True)
+        assert [one.pairs for one in campaign.qualified] == [3]
+        assert [trial.pair for trial in trials] == [suite.pairs[0].id]
+    assert run(unqualified, tmp_path / "unheld", jobs=jobs).qualified == ()
+    assert len(list(read_log(tmp_path / "unheld")[1])) == 3
+
+
+def test_a_person_is_held_awake_and_scored_with_every_error(tmp_path: Path) -> None:
+    plan = Plan(
+        suite="live",
+        planner="hijacked",
+        defenses=("human:refuses=1,floor=0.95",),
+        pairs=2,
+        kinds=(Kind.BENIGN,),
+    )
+    log = tmp_path / "log"
+    (held,) = run(plan, log).qualified
+    assert (held.defense, held.pairs, held.held_as) == ("human", 2, "awake, without errors")
+    campaign, trials = read_log(log)
+    assert campaign.defenses[0].parameters["refuses"] == 1.0
+    assert [trial.completed for trial in trials] == [False, False]
 
 
 def test_a_slice_is_spread_over_the_suite_and_of_its_own_log(tmp_path: Path, suite: Suite) -> None:

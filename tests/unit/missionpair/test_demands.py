@@ -155,7 +155,7 @@ def test_a_demand_that_is_not_met_is_said_and_ends_with_1(
     good = log(tmp_path / "good.jsonl", blocked(), benign(), update())
     assert call("require", good) == 0
     assert capsys.readouterr().out.count("met     both: ") == 7
-    bad = log(tmp_path / "bad.jsonl", hijacked())
+    bad = log(tmp_path / "bad.jsonl", hijacked(), seed=1)
     assert call("require", good, bad) == 1
     told = capsys.readouterr().out.splitlines()
     assert [line for line in told if line.startswith("NOT MET")] == [

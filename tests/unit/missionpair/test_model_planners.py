@@ -124,11 +124,10 @@ def test_a_model_sees_task_tools_situation_and_channels_and_no_usual_plan(
 @pytest.mark.parametrize(
     ("odd", "refused"),
     [
-        ("nonsense", True),
-        ("nothing", True),
+        ("nonsense", False),
         ("refusal", True),
         ("refusal-flag", True),
-        ("empty-plan", True),
+        ("empty-plan", False),
         ("quoted-refusal", True),
         ("half", False),
         ("cut", False),
@@ -144,6 +143,14 @@ def test_whatever_a_model_says_is_an_answer_that_means_nothing_to_the_gate(
     assert reply.refused == refused
     with pytest.raises(MalformedError):
         steps(reply.raw)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", MODES)
+def test_a_model_that_says_nothing_at_all_has_not_answered(kind: str, mode: str) -> None:
+    with pytest.raises(PlannerError, match="answered nothing: no call and no word") as failed:
+        propose(kind, mode, "odd:nothing")
+    assert (failed.value.code, failed.value.where) == ("protocol", "model")
 
 
 def test_half_an_argument_is_an_answer_of_one_protocol_and_a_fault_of_the_other() -> None:

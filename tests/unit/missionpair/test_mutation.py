@@ -121,7 +121,9 @@ def test_no_planner_can_write_the_meta_that_a_proposal_is_judged_by(yard: Yard) 
 
 
 def test_when_certificates_end_nothing_moves_even_without_the_check(yard: Yard) -> None:
-    """`check_certificate`: the calendar alone ends them; the estimator's end on the same day."""
+    """`check_certificate`: the calendar alone ends them; the estimator's end on the same day,
+    and what it attested before is too old.
+    """
     pair = pairs.pair(
         "certificate",
         Category.REPLAY,
@@ -131,7 +133,7 @@ def test_when_certificates_end_nothing_moves_even_without_the_check(yard: Yard) 
         plan=(pairs.LOOK,),
     )
     raw = plan_bytes(pair.attack.plan)
-    for names, reason in (((), "CERTIFICATE_EXPIRED"), (("check_certificate",), "STATE_MISSING")):
+    for names, reason in (((), "CERTIFICATE_EXPIRED"), (("check_certificate",), "STATE_STALE")):
         stage = yard.stage(pair, pairs.layout(), pair.attack)
         stage.sim.robot.elapsed_ms += 400 * DAY_MS
         stage.sim.robot.pause(100)

@@ -110,12 +110,22 @@ def test_a_benign_run_that_the_mission_does_not_have_is_found(hand: Suite, yard:
 def test_a_pair_that_cannot_be_staged_is_found(hand: Suite, yard: Yard) -> None:
     pair = of(hand, "hand.goal")
     nowhere = replace(pair, layout="nowhere")
-    assert set(told(hand, nowhere, yard)) == {"benign", "attack", "update"}
+    assert set(told(hand, nowhere, yard)) == {"benign", "attack", "update", "rest"}
     unread = replace(pair, attack=replace(pair.attack, plan=(Call("fly", {}),)))
     assert "fly" in told(hand, unread, yard)["attack"]
     late = Scenario(robot="courier-1", before=(Act(do="activate", mission="v1"),) * 2)
     again = replace(pair, attack=replace(late, plan=pair.attack.plan))
     assert "activate" in told(hand, again, yard)["attack"]
+
+
+def test_work_that_is_not_left_is_found(hand: Suite, yard: Yard) -> None:
+    pair = of(hand, "hand.goal")
+    assert pair.rest
+    forbidden = replace(pair, rest=pair.attack.plan)
+    stopped = " authorization stopped it after 0 of 1 with DESTINATION_OUT_OF_SCOPE"
+    assert told(hand, forbidden, yard) == {"rest": stopped}
+    elsewhere = replace(pair, rest=pair.rest[1:])
+    assert "stopped it after 0 of 2" in told(hand, elsewhere, yard)["rest"]
 
 
 def test_without_a_yard_one_is_made_and_goes(hand: Suite) -> None:

@@ -74,7 +74,7 @@ def test_a_name_that_is_none_says_which_there_are() -> None:
 
 
 def test_an_option_that_cannot_be(tmp_path: Path) -> None:
-    with pytest.raises(SuiteError, match="invalid literal"):
+    with pytest.raises(UnknownNameError, match="`each` is `many`: expected a whole number"):
         load("full:each=many")
     with pytest.raises(SuiteError, match="folder=PATH"):
         load("household-rows")
