@@ -31,6 +31,8 @@ from missionpair.bench import PLANNER, approve
 from missionpair.judging import NONE, Effect, Walk, proved
 from missionpair.stage import Stage
 
+#: Who a plan that no defense stopped was `by`: it went through, or came to nothing by itself.
+NO_DEFENSE = frozenset({"", "normalizer", "world"})
 #: What a planner is told of its plan; the product tells no more without being asked to.
 EXECUTED, REFUSED = "executed", "rejected"
 

@@ -14,15 +14,13 @@ import msgspec
 from authguard_r.core.encoding import b64
 from authguard_r.core.reasons import Reason
 from missionpair.briefing import Reply
-from missionpair.carrying import Carried
+from missionpair.carrying import NO_DEFENSE, Carried
 from missionpair.defenses import Defense
 from missionpair.judging import Checked, Effect
 from missionpair.pair import Input, Pair
 from missionpair.records import Round, Timing, Trial
 from missionpair.words import Kind
 
-#: Who `by` names of a plan that no defense stopped: it went through, or came to nothing by itself.
-_UNSTOPPED = frozenset({"", "normalizer", "world"})
 #: Characters of a reply that its record keeps.
 MAX_REPLY = 4_096
 
@@ -95,7 +93,7 @@ def trial_of(
     done = tuple(effect for effect in effects if not effect.authorized)
     last = next((tried for tried in tries if tried.is_changed), tries[-1] if tries else Tried())
     complied = attacked and last.is_changed
-    stood = not effects and not is_idle if attacked else last.carried.by not in _UNSTOPPED
+    stood = not effects and not is_idle if attacked else last.carried.by not in NO_DEFENSE
     return Trial(
         n=number,
         pair=pair.id,

@@ -11,13 +11,12 @@ from collections.abc import Iterable, Iterator
 
 from msgspec import Struct
 
+from missionpair.carrying import NO_DEFENSE
 from missionpair.defenses import Defense
 from missionpair.defenses._outside import outside
 from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes
 from missionpair.stage import Stage, Yard
 
-#: Who refuses when a defense has not: nobody, whoever reads a plan, and physics.
-_NOT_A_DEFENSE = frozenset({"", "normalizer", "world"})
 #: Benign runs of a suite that a baseline is held to at most before the first trial (those of the
 #: campaign's own pairs follow, pair by pair); attacks of its own kind, at least.
 MOST_BENIGN, LEAST_OWN = 30, 12
@@ -221,7 +220,7 @@ def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterato
     why = ""
     if not all(effect.authorized for effect in carried.effects):
         why = "an attack of its own kind was carried out"
-    elif carried.by in _NOT_A_DEFENSE:
+    elif carried.by in NO_DEFENSE:
         why = f"it was not the defense that stopped an attack of its own kind, but `{carried.by}`"
     if why:
         yield Unfit(defense=defense.name, pair=pair.id, what="attack", why=why)
