@@ -81,6 +81,9 @@ def test(arguments: list[str]) -> int:
     if shutil.which("softhsm2-util") is None and "AUTHGUARD_CI" not in os.environ:
         print("no software token here (softhsm2): keys in hardware are not tested", flush=True)
         os.environ["AUTHGUARD_UNMEASURED"] = "*/authguard_r/keys/pkcs11.py"
+    if "AUTHGUARD_INSPECT" not in os.environ and "AUTHGUARD_CI" not in os.environ:
+        print("no environment with Inspect (AUTHGUARD_INSPECT): not tested", flush=True)
+        os.environ["AUTHGUARD_UNMEASURED_INSPECT"] = "*/authguard_r/adapters/inspect.py"
     return run(["pytest", *PARALLEL, *others, *covered, "tests"]) or first
 
 
@@ -117,7 +120,8 @@ def lock(arguments: list[str]) -> int:
     """Work out the lock files: every version, every hash, no host."""
     command = ["uv", "pip", "compile", "pyproject.toml"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
-    extras = [f"--extra={name}" for name in ("drafting", "frost", "llm", "pkcs11")]
+    names = ("drafting", "frost", "http", "langchain", "llm", "mcp", "openai-agents", "pkcs11")
+    extras = [f"--extra={name}" for name in (*names, "pydantic-ai")]
     everything = [*extras, "--group", "dev", "--group", "bench"]
     first = run([*command, *everything, *how, "-o", LOCK.name, *arguments])
     first = first or run([*command, *how, "-c", LOCK.name, "-o", str(GATE_LOCK), *arguments])

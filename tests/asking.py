@@ -19,6 +19,7 @@ from authguard_r.approvals import answer
 from authguard_r.assembly import folder_signer
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag
+from authguard_r.core.mission import Mission
 from authguard_r.core.standing import ApprovalRequest
 from authguard_r.core.token import sign_object
 from authguard_r.gate.questions import OpenQuestions
@@ -26,6 +27,7 @@ from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
 from authguard_r.keys.certificate import Role, build_leaf
 from authguard_r.keys.setup import read_authority
 from authguard_r.keys.signer import FileSigner
+from gates import RunningGate
 from missionpair.bench import Bench, Scene, calls, propose
 from missionpair.suite import at_dock, wide, with_grant
 
@@ -145,3 +147,21 @@ def key_of(
 
     chain = (leaf.public_bytes(Encoding.DER), authority.certificate.public_bytes(Encoding.DER))
     return FileSigner(key, chain)
+
+
+def at_gate(gate: RunningGate, **risk: Any) -> Mission:
+    """Return the shipped mission with a way into the isolation room, which asks a second person."""
+    plain = worlds.draft()
+    row = {
+        "source": "dock",
+        "destination": "isolation-room",
+        "regions": ["dock", "isolation-room", "public-corridor"],
+    }
+    grants = [
+        {**g, "rows": [row], "repeat": 5, "starts": 5, "until": []}
+        if g["id"] == "go-to-pharmacy"
+        else g
+        for g in plain["grants"]
+    ]
+    policy = {**plain["risk_policy"], **risk}
+    return gate.mission(grants=grants, risk_policy=policy, limits={})

@@ -82,6 +82,14 @@ def until(holds: Callable[[], Any], what: str = "it", *, seconds: float = PATIEN
     return answer
 
 
+def environment(*, measured: bool) -> dict[str, str]:
+    """Return the variables of a process; what a measured one runs through counts as covered."""
+    env = {k: v for k, v in os.environ.items() if not k.startswith("COV")}
+    if measured and Coverage.current() is not None:
+        env |= {"COVERAGE_PROCESS_START": str(worlds.ROOT / "pyproject.toml")}
+    return env
+
+
 class RunningGate:
     """A gate, and what a test wants beside it; a context manager.
 
@@ -230,9 +238,7 @@ class RunningGate:
         self._count += 1
         out, err = (self.folder / f"{self._count}-{name}.{end}" for end in ("out", "err"))
         said = [str(AUTHGUARD), name, *(str(word) for word in words), "--json"]
-        env = {k: v for k, v in os.environ.items() if not k.startswith("COV")}
-        if name == "gate" and Coverage.current() is not None:  # what it runs through counts too
-            env |= {"COVERAGE_PROCESS_START": str(worlds.ROOT / "pyproject.toml")}
+        env = environment(measured=name == "gate")
         with out.open("wb") as to, err.open("wb") as errors:
             process = subprocess.Popen(
                 said, stdin=subprocess.DEVNULL, stdout=to, stderr=errors, env=env, cwd=worlds.ROOT

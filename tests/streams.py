@@ -104,6 +104,8 @@ def least(kind: Any) -> Any:
         return kind.ge or 0
     if isinstance(kind, inspect.EnumType):
         return next(iter(kind.cls)).value
+    if isinstance(kind, inspect.VarTupleType):
+        return [least(kind.item_type)]
     if type(kind) not in plain:
         raise TypeError(kind)
     return plain[type(kind)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# ruff: noqa: INP001 - a script
+
 """A safety checker in a process of its own, on the standard library alone.
 
     checker.py SOCKET

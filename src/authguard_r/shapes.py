@@ -147,12 +147,13 @@ class Disclosure(StrEnum):
 
 
 def disclosed(report: dict[str, Any], level: Disclosure) -> dict[str, Any]:
-    """Return what the planner may know of a report."""
+    """Return what the planner may know of a report, or of a decision that was not carried out."""
     if level is Disclosure.FULL:
         return report
     told = {key: report[key] for key in _TOLD if key in report}
-    execution = report["execution"]
-    told["execution"] = {**execution, "reasons": [f["reason"] for f in execution["reasons"]]}
+    if "execution" in report:
+        execution = report["execution"]
+        told["execution"] = {**execution, "reasons": [f["reason"] for f in execution["reasons"]]}
     if level is Disclosure.FIELDS:
         findings = report.get("findings", ())
         told["findings"] = [{key: f[key] for key in ("field", "reason", "step")} for f in findings]

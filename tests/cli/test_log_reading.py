@@ -123,6 +123,7 @@ def test_each_filter_leaves_what_it_says_and_all_of_them_together(log: Log) -> N
     assert log.shown("--from", WENT, "--to", ARRIVED) == [WENT, ARRIVED]
     assert log.shown("--from", LAST + 1) == []
     assert log.shown("--refused", "--kind", "outcome") == []
+    assert log.shown("--would-refuse") == []  # nothing of it was in shadow mode
 
 
 def test_times_are_bounds_that_belong_to_what_they_bound(log: Log) -> None:

@@ -186,7 +186,7 @@ def test_every_message_is_framed_and_read_as_published() -> None:
         assert (item.kind, item.id) == (vector["kind"], vector["id"])
         assert json.loads(item.body) == vector["body"]
         assert raw_frame(item.kind, item.id, item.body).hex() == vector["hex"]
-        assert msgspec.to_builtins(read) == vector["read"], vector["name"]
+        assert json.loads(msgspec.json.encode(read)) == vector["read"], vector["name"]
 
 
 def test_every_message_has_a_published_frame() -> None:
@@ -199,7 +199,7 @@ def test_every_body_is_taken_or_refused_as_published() -> None:
     for vector in FRAMES["bodies"]:
         try:
             read = read_body(bytes.fromhex(vector["hex"]), message_named(vector["message"]))
-            got: dict[str, Any] = {"read": msgspec.to_builtins(read)}
+            got: dict[str, Any] = {"read": json.loads(msgspec.json.encode(read))}
         except MalformedError as error:
             got = {"error": str(error.reason), "where": error.where}
         assert got == vector["expect"], vector["name"]

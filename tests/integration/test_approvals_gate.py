@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import pytest
 
+import asking
 import worlds
 from authguard_r.approvals.organization import OrganizationPolicy
 from authguard_r.assembly import folder_signer
@@ -23,7 +24,7 @@ from authguard_r.client.questions import shown
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, RefusedError
-from authguard_r.core.mission import Mission, RiskPolicy
+from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.token import sign_object
 from authguard_r.wire.messages import ClientRole
 from authguard_r.wire.questions import Question
@@ -32,24 +33,6 @@ from gates import RunningGate, until
 PLAN = b'{"tool": "navigate_to", "arguments": {"destination": "Isolation Room", "speed": 0.8}}'
 #: Words that stand nowhere else: what a planner must never read.
 WORDS = "zebra-quarantine-told-by-nurse"
-
-
-def asks(gate: RunningGate, **risk: Any) -> Mission:
-    """Return the shipped mission with a way into the isolation room, which asks a second person."""
-    plain = worlds.draft()
-    row = {
-        "source": "dock",
-        "destination": "isolation-room",
-        "regions": ["dock", "isolation-room", "public-corridor"],
-    }
-    grants = [
-        {**g, "rows": [row], "repeat": 5, "starts": 5, "until": []}
-        if g["id"] == "go-to-pharmacy"
-        else g
-        for g in plain["grants"]
-    ]
-    policy = {**plain["risk_policy"], **risk}
-    return gate.mission(grants=grants, risk_policy=policy, limits={})
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +48,7 @@ def fresh(gate: RunningGate, **risk: Any) -> GateClient:
     for path in gate.folder.glob("robot.db*"):
         path.unlink()
     gate.start_gate()
-    gate.activate(gate.token(asks(gate, **risk)))
+    gate.activate(gate.token(asking.at_gate(gate, **risk)))
     with gate.client(ClientRole.OPERATOR, "waits") as operator:
         # simulated time may be behind the wall's, in which the mission was compiled
         until(lambda: foreseen(operator) == ["APPROVAL_REQUIRED"], "the mission's first second")

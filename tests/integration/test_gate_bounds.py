@@ -29,6 +29,7 @@ import pytest
 import worlds
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.client import GateClient
+from authguard_r.client.controller import SAMPLE_MS
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthGuardError
@@ -40,7 +41,6 @@ from authguard_r.core.token import sign_object
 from authguard_r.gate.service import LOOK_S
 from authguard_r.keys.setup import init_folder
 from authguard_r.running import WATCH_MS
-from authguard_r.sim.controller import SAMPLE_MS
 from authguard_r.sim.sensors import LOOK_MS
 from authguard_r.sim.sight import MARGIN_MM
 from authguard_r.site.source import read_site

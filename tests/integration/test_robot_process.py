@@ -7,7 +7,6 @@ Real processes, sockets and keys. The gate is scripted, so that it can do what n
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
 import stat
@@ -44,6 +43,7 @@ from authguard_r.wire.messages import (
     Mode,
     Renew,
 )
+from gates import environment
 from integration import scripted_gate
 from integration.scripted_gate import (
     PATIENCE,
@@ -89,7 +89,7 @@ class House:
                 stderr=errors,
                 text=True,
                 cwd=worlds.ROOT,
-                env={k: v for k, v in os.environ.items() if not k.startswith("COV")},
+                env=environment(measured=True),
             )
         self.processes.append(process)
         return process
@@ -126,9 +126,12 @@ class House:
         for listener in self.listeners:
             listener.close()
         for process in self.processes:
-            if process.poll() is None:
+            process.terminate()  # it says what it ran through
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
                 process.kill()
-            process.wait()
+                process.wait()
             if process.stdout is not None:
                 process.stdout.close()
 

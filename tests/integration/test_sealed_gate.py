@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import asking
 import sealed
 import worlds
 from authguard_r.audit.boxes import BOX, WRAP, DataClass
@@ -24,7 +25,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from gates import AUTHGUARD, RunningGate, until
-from integration.test_approvals_gate import PLAN, asks, key, reasons
+from integration.test_approvals_gate import PLAN, key, reasons
 from integration.test_gate_watching import operator, order
 
 REGION, PERSON = DataClass.REGION, DataClass.PERSON
@@ -145,7 +146,7 @@ def test_an_open_request_of_before_a_restart_shows_nothing_that_is_closed(
     gate: SealingGate,
 ) -> None:
     """What the gate cannot read, nobody is shown, so nobody signs an answer to it."""
-    gate.activate(gate.token(asks(gate)))
+    gate.activate(gate.token(asking.at_gate(gate)))
     with gate.client(ClientRole.PLANNER) as planner:
         until(lambda: reasons(planner) == ["APPROVAL_REQUIRED"], "the question")
         with gate.client(ClientRole.OPERATOR) as console:

@@ -58,6 +58,7 @@ ASKED: dict[Kind, Any] = {
     Kind.BEGUN: {"ticket": NOBODY},
     Kind.ENDED: {"ticket": NOBODY, "outcome": "succeeded"},
     Kind.STOOD: {"stops": 1},
+    Kind.RESULT: {"ticket": NOBODY, "content": "", "texts": ["go to the pharmacy"]},
 }
 #: What the enforcer does for effect, and whether it can begin a motion.
 VERBS = {

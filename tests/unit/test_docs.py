@@ -133,7 +133,8 @@ def commands() -> Iterator[Path]:
         address, client = f"{folder}/door", Path(folder) / "authguard"
         client.write_text(CLIENT.format(python=sys.executable, address=address))
         client.chmod(0o755)
-        environment = {**os.environ, "TMPDIR": folder, "COLUMNS": "100"}
+        path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+        environment = {**os.environ, "PATH": path, "TMPDIR": folder, "COLUMNS": "100"}
         server = subprocess.Popen([sys.executable, __file__, address], env=environment)
         while not Path(address).exists():
             assert server.poll() is None

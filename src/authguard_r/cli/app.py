@@ -33,6 +33,7 @@ from authguard_r.cli import (
     log_keys,
     log_show,
     log_verify,
+    mcp,
     metrics,
     normalize,
     orders,
@@ -45,6 +46,7 @@ from authguard_r.cli import (
     run,
     safety_config,
     segments,
+    serve,
     shred,
     site,
     stop_lane,
@@ -65,6 +67,9 @@ app.command("demo")(demo.demo)
 app.command("init")(init.init_command)
 app.command("learn")(learn.learn_command)
 app.command("doctor")(doctor.doctor)
+app.command("mcp")(mcp.mcp_command)
+app.command("mcp-tools")(mcp.mcp_tools_command)
+app.command("serve")(serve.serve_command)
 keys.app.command("protect")(key_files.protect_command)
 keys.app.command("unprotect")(key_files.unprotect_command)
 keys.app.command("public")(key_files.public_command)

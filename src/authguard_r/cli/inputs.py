@@ -15,7 +15,7 @@ import typer
 from authguard_r.approvals.organization import VerifiedPolicy, open_policy
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
-from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
+from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import RobotId, Timestamp
 from authguard_r.core.quantities import Now, to_ms
@@ -24,18 +24,18 @@ from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
 from authguard_r.intake import ESTIMATOR_ROLES, ISSUER_ROLES
 from authguard_r.keys.trust import Trust, read_file, read_trust
-from authguard_r.normalize.binding import Binding, load_binding
+from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.parse import read_json
-from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.model import Site, facts_of
-from authguard_r.site.signed import is_token, read_claimed_site, read_signed_site
+from authguard_r.site.signed import is_token, read_claimed_site
 from authguard_r.site.source import (
     as_text,
     convert,
     parse_site,
     require_sound,
 )
+from authguard_r.tools.given import given_binding, trusted_site
 
 #: Most bytes of a context file: a day of captions, and no more than memory easily holds.
 MAX_CONTEXT = 1 << 24
@@ -74,8 +74,7 @@ def wall_now(text: str | None) -> Now:
 
 def read_binding(path: Path, site: Site) -> Binding:
     """Return a sound binding: a shipped one by its name, or the one in a file."""
-    data = binding_source(str(path))
-    return load_binding(data, site=site, where=str(path))
+    return given_binding(str(path), site)
 
 
 def read_mission(path: Path, trust: Trust, now: Now) -> VerifiedMission:
@@ -246,19 +245,7 @@ def load_site(path: Path, trust: Path | Trust | None = None, now: Now | None = N
     if trust is None:
         return require_sound(claimed_site(path), where=str(path))
     anchor = read_trust(trust) if isinstance(trust, Path) else trust
-    data = read_file(path)
-    if is_token(data):
-        at = wall_now(None) if now is None else now
-        return read_signed_site(data, verifier=anchor, now=at, where=str(path)).site
-    if not anchor.demo:
-        raise AuthenticityError(
-            "expected a signed site outside demonstration: `authguard site sign`",
-            reason=Reason.SIGNATURE_INVALID,
-            where=str(path),
-        )
-    return require_sound(
-        parse_site(as_text(data, where=str(path)), where=str(path)), where=str(path)
-    )
+    return trusted_site(path, anchor, now)
 
 
 def claimed_site(path: Path) -> Site:

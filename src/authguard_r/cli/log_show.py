@@ -42,6 +42,7 @@ class Wanted(Struct, frozen=True, kw_only=True):
     Args:
         kind: of this kind.
         refused: with a reason against something.
+        would: with one that an enforcing gate would have refused for: of a run in shadow mode.
         mission: of this mission.
         client: by whom, as the log names them, or without the number of their user.
         reason: with this code.
@@ -53,6 +54,7 @@ class Wanted(Struct, frozen=True, kw_only=True):
 
     kind: str | None = None
     refused: bool = False
+    would: bool = False
     mission: str | None = None
     client: str | None = None
     reason: str | None = None
@@ -66,7 +68,8 @@ class Wanted(Struct, frozen=True, kw_only=True):
         reasons = record.open.get("reasons") or ()
         return (
             (self.kind is None or record.kind == self.kind)
-            and (not self.refused or bool(reasons))
+            and (not (self.refused or self.would) or bool(reasons))
+            and (not self.would or record.open.get("mode") == "shadow")
             and (self.mission is None or record.link.mid == self.mission)
             and (self.reason is None or self.reason in reasons)
             and self.since_ms <= record.link.time_ms
@@ -156,6 +159,10 @@ def show_command(
     refused: Annotated[
         bool, typer.Option("--refused", help="Only what was refused, aborted or not begun.")
     ] = False,
+    would: Annotated[
+        bool,
+        typer.Option("--would-refuse", help="Only what an enforcing gate would have refused."),
+    ] = False,
     mission: Annotated[
         str | None, typer.Option("--mission", help="Only records of this mission.")
     ] = None,
@@ -183,6 +190,7 @@ def show_command(
     wanted = Wanted(
         kind=kind,
         refused=refused,
+        would=would,
         mission=mission,
         client=client,
         reason=reason,

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import getpass
-import os
-import stat
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +11,12 @@ from typing import Annotated
 import typer
 
 from authguard_r.cli.inputs import wall_now
-from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
+from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.envelope import MAX_PASSPHRASE
+from authguard_r.keys.files import read_private
 from authguard_r.keys.pkcs11 import is_key_uri, open_key
 from authguard_r.keys.signer import (
     FileSigner,
@@ -26,7 +25,7 @@ from authguard_r.keys.signer import (
     certified,
     open_key_file,
 )
-from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.keys.trust import read_trust
 
 PassphraseFile = Annotated[
     Path | None,
@@ -127,14 +126,7 @@ def read_passphrase(path: Path) -> str:
         EnvironmentFault: it cannot be read, or others may read it.
         MalformedError: not one line of text.
     """
-    data = read_file(path)
-    mode = stat.S_IMODE(path.stat().st_mode)
-    if mode & 0o077 or path.stat().st_uid not in {0, os.geteuid()}:
-        raise EnvironmentFault(
-            f"others can read or own it (mode {mode:o}): chmod 600 `{path}`",
-            reason=Reason.STORE_UNAVAILABLE,
-            where="--passphrase-file",
-        )
+    data = read_private(path, where="--passphrase-file")
     try:
         text = data[: _MOST_BYTES + 1].decode("utf-8").removesuffix("\n").removesuffix("\r")
     except UnicodeDecodeError as error:

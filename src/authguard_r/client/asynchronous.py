@@ -77,9 +77,8 @@ class AsyncGateClient:
             robot=robot,
             allow_shadow=allow_shadow,
         )
-        session = begin(greeting)
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        made = cls(Line(session, wire), timeout_ms=timeout_ms)
+        made = cls(Line(begin(greeting), wire), timeout_ms=timeout_ms)
         try:
             async with asyncio.timeout(timeout_ms / 1_000):
                 await made._open(path, wire)
@@ -98,6 +97,11 @@ class AsyncGateClient:
         if welcome is None:  # pragma: no cover - `connect` returns after the welcome
             raise RuntimeError("the gate has not welcomed this client")
         return welcome
+
+    @property
+    def is_open(self) -> bool:
+        """True until the connection has broken."""
+        return self._session.broken is None
 
     async def propose(
         self,

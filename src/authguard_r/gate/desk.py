@@ -23,7 +23,7 @@ from authguard_r.gate.clients import Client
 from authguard_r.gate.controller import RemoteController
 from authguard_r.gate.inbox import Inbox
 from authguard_r.gate.motions import Motions
-from authguard_r.gate.plans import Plans
+from authguard_r.gate.plans import Plans, parts_of
 from authguard_r.gate.questions import OpenQuestions
 from authguard_r.gate.rescues import Rescues
 from authguard_r.gate.streams import Streams
@@ -51,11 +51,10 @@ from authguard_r.wire.messages import (
     Order,
     Propose,
     Records,
+    Result,
     Sample,
 )
 
-#: Characters of an observed text that are looked through in one turn.
-PART = 1_024
 #: Tells everybody who watches.
 Publish = Callable[[dict[str, Any]], None]
 #: What became of an order.
@@ -143,9 +142,8 @@ class Desk:
             Kind.METRICS: self._metrics,
             Kind.APPROVALS: self._approvals,
             Kind.WATCH: self._watch,
-            Kind.BEGUN: self._hear,
-            Kind.ENDED: self._hear,
-            Kind.STOOD: self._hear,
+            **dict.fromkeys((Kind.BEGUN, Kind.ENDED, Kind.STOOD), self._hear),
+            Kind.RESULT: self._result,
         }
 
     def serve(self, client: Client, item: Frame) -> None:
@@ -170,7 +168,7 @@ class Desk:
 
     def _observe(self, client: Client, number: int, seen: Observe) -> None:
         """Note a text in parts, one a turn: looking through a long one takes long."""
-        parts = [seen.text[at : at + PART] for at in range(0, len(seen.text), PART)] or [""]
+        parts = parts_of(seen.text)
 
         def note() -> None:
             self._plans.observe(client, seen.channel, parts.pop(0))
@@ -272,6 +270,9 @@ class Desk:
         if self._controller is not None:
             self._controller.hear(said)
             self._motions.look()
+
+    def _result(self, client: Client, number: int, said: Result) -> None:  # noqa: ARG002
+        self._motions.tell(said)
 
     def _judge(self, step: Step) -> Judged:
         """Ask both gates about a step as things are now, without any effect."""

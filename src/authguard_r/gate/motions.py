@@ -19,6 +19,7 @@ from authguard_r.gate.streams import Streams
 from authguard_r.report import Report
 from authguard_r.rescue import Relief, Rescued
 from authguard_r.running import Running
+from authguard_r.wire.messages import Result
 
 
 class OpenLease(Struct, frozen=True, kw_only=True):
@@ -48,6 +49,7 @@ class _Moving(Protocol):
 class _Motion(Struct, frozen=True):
     running: _Moving
     ended: Callable[[Any], None]
+    told: Callable[[Result], None] | None = None
 
 
 class Motions:
@@ -75,6 +77,7 @@ class Motions:
         ended: Callable[[Report], None],
         *,
         gone: Callable[[], bool],
+        told: Callable[[Result], None] | None = None,
     ) -> None:
         """Watch an action of a client.
 
@@ -83,8 +86,9 @@ class Motions:
             running: the released action.
             ended: called once, with its final report.
             gone: true once the planner is not connected any more.
+            told: called with everything that it brings to light while it runs.
         """
-        self._open[running.lease.ticket] = _Motion(running, ended)
+        self._open[running.lease.ticket] = _Motion(running, ended, told)
         streams = self._streams
         if streams is not None:
             streams.begin(client, running, gone)
@@ -93,6 +97,12 @@ class Motions:
     def rescue(self, relief: Relief, ended: Callable[[Rescued], None]) -> None:
         """Watch an emergency; `ended` is called once, with what became of it."""
         self._open[relief.lease.ticket] = _Motion(relief, ended)
+
+    def tell(self, result: Result) -> None:
+        """Pass on what a running action brought to light; what comes after its end is dropped."""
+        motion = self._open.get(result.ticket)
+        if motion is not None and motion.told is not None:
+            motion.told(result)
 
     def look(self) -> None:
         """Look at every open lease once."""

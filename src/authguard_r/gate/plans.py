@@ -8,8 +8,9 @@ Spec page: docs/spec/gate-protocol.md#propose
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
@@ -35,8 +36,10 @@ from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Judged, Report
 from authguard_r.running import Running, require_judged
 from authguard_r.shapes import Disclosure, decision_json, told_json
-from authguard_r.wire.messages import Evaluate, Fault, Propose
+from authguard_r.wire.messages import Evaluate, Fault, Propose, Result
 
+#: Characters of an observed text that are looked through in one turn.
+PART = 1_024
 _HANDED_OVER = Fault(
     code=Reason.BUSY,
     message="another connection of this client asked for the answer",
@@ -45,6 +48,19 @@ _HANDED_OVER = Fault(
 #: Planners whose inputs are kept, each for itself.
 _MOST_CONTEXTS = 256
 _MOST_OF_USER = 32
+
+
+def parts_of(text: str) -> list[str]:
+    """Return a text in parts that are each looked through in a turn; of an empty one, itself."""
+    return [text[at : at + PART] for at in range(0, len(text), PART)] or [""]
+
+
+class Later(Protocol):
+    """Lets something of a client wait for its turn."""
+
+    def __call__(self, client: Client, act: Callable[[], None], *, first: bool = False) -> None:
+        """Put it behind what waits of the client, or `first`, before all of that."""
+        ...
 
 
 class Run:
@@ -66,6 +82,7 @@ class Run:
         self.reports: list[Report] = []
         self.numbers: tuple[Numbers, ...] = ()
         self.told: list[dict[str, Any]] = []
+        self.noting = 0  # results that are still looked through
 
     def answered(self, then: str | None = None) -> Answered:
         """Return what is known of it so far."""
@@ -111,7 +128,7 @@ class Plans:
         channels: dict[str, str],
         disclosure: Disclosure,
         shadow: bool,
-        later: Callable[[Client, Callable[[], None]], None],
+        later: Later,
         decided: Callable[[Client, Report], None],
         ended: Callable[[Client, Report], None],
         answered: Callable[[Client], None],
@@ -273,7 +290,8 @@ class Plans:
         )
         if isinstance(begun, Running):
             ended = partial(self._moved, run, keeper)
-            self._motions.add(client.name, begun, ended, gone=lambda: run.client.gone)
+            told = partial(self._brought, run, self._binder.result_channel(step.action))
+            self._motions.add(client.name, begun, ended, gone=lambda: run.client.gone, told=told)
             self._tell(run, begun.report)
             self._decided(client, begun.report)
         elif begun.outcome is not None:
@@ -289,7 +307,27 @@ class Plans:
         self._ended(run.client, report)
         self._go_on(run, report)
 
+    def _brought(self, run: Run, channel: str, result: Result) -> None:
+        """Tell the planner what its action brought to light, once all of it is noted."""
+        parts = [part for text in result.texts or ("",) for part in parts_of(text)]
+        run.noting += 1
+
+        def note() -> None:
+            if parts:
+                with suppress(EnvironmentFault):  # then it may have been anything, and counts so
+                    self.observe(run.client, channel, parts.pop(0))
+                self._later(run.client, note, first=True)
+                return
+            run.noting -= 1
+            told = {"step": len(run.reports), "ticket": result.ticket, "result": result.content}
+            run.client.event(run.number, told)
+
+        note()
+
     def _go_on(self, run: Run, report: Report) -> None:
+        if run.noting:  # what it brought to light is told first
+            self._later(run.client, lambda: self._go_on(run, report))
+            return
         run.add(report, self._disclosure)
         left = len(run.reports) < len(run.steps)
         goes_on = self._shadow or report.outcome is Outcome.SUCCEEDED

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import stat
 from contextlib import suppress
 from pathlib import Path
 
@@ -71,6 +72,35 @@ def holds_plain_key(path: Path) -> bool:
         return _MARK in _head(path)
     except OSError:
         return False  # that it cannot be read is said elsewhere
+
+
+def read_private(path: Path, *, where: str) -> bytes:
+    """Return the bytes of a file that its owner alone can read: this user, or root.
+
+    Args:
+        path: a passphrase, a token or a private key.
+        where: the option that named it, for messages.
+
+    Raises:
+        EnvironmentFault: it cannot be read, or others may read or own it.
+    """
+    try:
+        with path.open("rb") as file:  # what is looked at is what is read, whatever takes its name
+            held = os.fstat(file.fileno())
+            mode = stat.S_IMODE(held.st_mode)
+            if mode & 0o077 or held.st_uid not in {0, os.geteuid()}:
+                raise EnvironmentFault(
+                    f"others can read or own it (mode {mode:o}): chmod 600 `{path}`",
+                    reason=Reason.STORE_UNAVAILABLE,
+                    where=where,
+                )
+            return file.read()
+    except OSError as error:
+        raise EnvironmentFault(
+            f"cannot read `{path}`: {error.strerror}",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(path),
+        ) from error
 
 
 def _head(path: Path) -> bytes:

@@ -17,7 +17,8 @@ from msgspec import Struct
 
 from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.identifiers import ParameterId
+from authguard_r.core.identifiers import ActionType, ParameterId, ToolId
+from authguard_r.core.provenance import TRUST
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import (
     POSE,
@@ -31,15 +32,20 @@ from authguard_r.normalize.binding import (
     Ways,
     is_index,
     same,
+    ways,
     ways_of,
 )
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.places import Places
 from authguard_r.normalize.quantity import COORDINATE, scale
+from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
 
 #: Longest route, in regions.
 MAX_ROUTE = 64
+
+#: The channel of what nobody says: a shipped one with the least trusted label.
+UNTOLD = str(TRUST[-1])
 
 Reader = Callable[[Any, str], Any]
 #: The names at one level of a call: those below each, or the path that ends there.
@@ -96,6 +102,7 @@ class Binder:
             name: tuple(self._way(way.tool) for way in ways_of(binding, name))
             for name in binding.tools
         }
+        self._results = result_channels(binding, site)
 
     def bind(self, call: Call) -> Action:
         """Return the action that the call means, without provenance and meta.
@@ -131,6 +138,18 @@ class Binder:
     def spellings(self) -> dict[str, str]:
         """Return every external spelling of regions and objects with the id that it names."""
         return site_spellings(self._site)
+
+    def succeeds(self, call: Call) -> dict[str, Constant]:
+        """Return what stands in the answer of a call that has done its work, by path.
+
+        Raises:
+            MalformedError: no way of a tool is this call.
+        """
+        return self._choose(call).tool.succeeds
+
+    def result_channel(self, action: Action) -> str:
+        """Return the channel of what an action brings to light: of several, the least trusted."""
+        return self._results.get((action.type, action.tool), UNTOLD)
 
     def _choose(self, call: Call) -> _Way:
         """Return the one way that the call is; ways of a tool exclude each other."""
@@ -367,6 +386,21 @@ def _number(argument: Argument, kind: ActionModel) -> Reader:
     return lambda value, where: scale(
         value, parameter, per_unit=per_unit, where=where, offset=offset
     )
+
+
+def result_channels(binding: Binding, site: Site) -> dict[tuple[ActionType, ToolId], str]:
+    """Return by which channel what each kind of action brings to light reaches the planner.
+
+    Several ways may lead to one action, and which of them is taken is not the planner's to choose:
+    the least trusted of their channels counts.
+    """
+    labels = channel_labels(site.channels)
+    found: dict[tuple[ActionType, ToolId], str] = {}
+    for way in ways(binding):
+        key, channel = (way.tool.type, way.tool.tool), way.tool.result or UNTOLD
+        known = found.get(key, channel)
+        found[key] = max(known, channel, key=lambda name: TRUST.index(labels[name]))
+    return found
 
 
 def site_spellings(site: Site) -> dict[str, str]:

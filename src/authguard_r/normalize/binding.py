@@ -29,6 +29,7 @@ from authguard_r.core.identifiers import (
     ToolId,
 )
 from authguard_r.core.reasons import Reason
+from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
 
 #: A positive number of at most 20 characters: `1000`, `0.5` or `1/3`.
@@ -119,6 +120,10 @@ class ToolBinding(
             `effect_of` reads from the constants. Ways to one effect have one type and one tool.
         message: the ROS type whose fields stand under `body` (`nav2_msgs/action/Wait`).
         body: the path under which they stand; empty: at the top.
+        result: the channel by which what it brings to light reaches the planner; empty: nobody
+            says, and it counts as the least trusted of all.
+        succeeds: paths in the tool's structured answer, with what stands there when it has done
+            its work; empty: whatever is no error.
         noted: why the tool is bound as it is; for people.
     """
 
@@ -133,6 +138,8 @@ class ToolBinding(
     effect: str = ""
     message: str = ""
     body: str = ""
+    result: str = ""
+    succeeds: dict[str, Constant] = {}
     noted: str = ""
 
 
@@ -284,6 +291,8 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
             yield f"arguments.{name}.{place}", fault
     yield from _settled_faults(tool, kind, site)
     yield from _controller_faults(tool, site)
+    if tool.result and tool.result not in channel_labels(site.channels):
+        yield "result", f"expected a channel of the site, got `{tool.result!a}`"
     yield from _origin_faults(tool, kind)
 
 

@@ -15,13 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.client.greeting import GateVerifier
-from authguard_r.core.encoding import Tag
-from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.core.identifiers import Identifier, RobotId
-from authguard_r.core.ports import Signer
-from authguard_r.core.state import Snapshot
-from authguard_r.core.token import sign_object
-from authguard_r.sim.link import (
+from authguard_r.client.link import (
     FIRST_PAUSE_S,
     LONGEST_PAUSE_S,
     Caller,
@@ -32,7 +26,13 @@ from authguard_r.sim.link import (
     until_told,
     wall_now,
 )
-from authguard_r.sim.proof import Proven
+from authguard_r.client.proof import Proven
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.identifiers import Identifier, RobotId
+from authguard_r.core.ports import Signer
+from authguard_r.core.state import Snapshot
+from authguard_r.core.token import sign_object
 from authguard_r.sim.sensors import ID_MODULUS
 from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
@@ -201,7 +201,7 @@ class EstimatorProcess:
         """Run until the event is set."""
         await run_all((self._gate.stay(), self._listen(), self._sign()), until=until)
 
-    # sim.link.Listener
+    # client.link.Listener
 
     def opened(self, proven: Proven) -> None:  # noqa: ARG002 - its proof is all that was asked
         """Begin to send."""

@@ -83,6 +83,7 @@ class Kind(IntEnum):
     BEGUN = 56
     ENDED = 57
     STOOD = 58
+    RESULT = 59
     # an operator's
     ORDER = 64
     EVALUATE = 65
@@ -362,6 +363,22 @@ class Ended(_Message, frozen=True, kw_only=True):
             raise ValueError(f"expected counts up to {MAX_INTEGER} in `used`")
 
 
+class Result(_Message, frozen=True, kw_only=True):
+    """What an action brought to light while it ran, for the planner that proposed it.
+
+    It passes through the gate, which notes what the planner is about to see before it is told.
+
+    Args:
+        ticket: the release.
+        content: what the planner is told, as its front writes it; the gate does not look in.
+        texts: every word of it that a model could read.
+    """
+
+    ticket: Digest
+    content: bytes
+    texts: tuple[str, ...] = ()
+
+
 class Stood(_Message, frozen=True, kw_only=True):
     """The robot stands after a stop.
 
@@ -452,6 +469,7 @@ BODY: dict[Kind, type[Any]] = {
     Kind.BEGUN: Begun,
     Kind.ENDED: Ended,
     Kind.STOOD: Stood,
+    Kind.RESULT: Result,
     Kind.ORDER: Order,
     Kind.EVALUATE: Evaluate,
     Kind.STATUS: Nothing,
@@ -477,6 +495,7 @@ BOUND: dict[Kind, int] = {
     Kind.BEGUN: _SMALL,
     Kind.ENDED: _SMALL,
     Kind.STOOD: _SMALL,
+    Kind.RESULT: 1 << 20,
     Kind.ORDER: 1 << 22,
     Kind.EVALUATE: 1 << 19,
     Kind.STATUS: _SMALL,
@@ -500,7 +519,7 @@ MAY: dict[ClientRole, frozenset[Kind]] = {
         | {Kind.EXPLAIN, Kind.APPROVALS, Kind.EMERGENCY}
     ),
     ClientRole.ESTIMATOR: frozenset({Kind.SNAPSHOT}),
-    ClientRole.CONTROLLER: frozenset({Kind.BEGUN, Kind.ENDED, Kind.STOOD}),
+    ClientRole.CONTROLLER: frozenset({Kind.BEGUN, Kind.ENDED, Kind.STOOD, Kind.RESULT}),
     ClientRole.AUDITOR: frozenset(
         {Kind.STATUS, Kind.RECORDS, Kind.WATCH, Kind.METRICS, Kind.EXPLAIN, Kind.APPROVALS}
     ),

@@ -29,7 +29,9 @@ import msgspec
 import worlds
 from authguard_r.assembly import assemble, demo_members, folder_signer, gate_name
 from authguard_r.audit.record import Record, read_record, read_sealed
+from authguard_r.client.controller import Channel, ControllerDesk, Sent
 from authguard_r.client.greeting import Greeting
+from authguard_r.client.proof import prove
 from authguard_r.commands import Command, Verb
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
@@ -54,8 +56,7 @@ from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.safety import EnvelopeGate
 from authguard_r.safety import default_config as default_safety
-from authguard_r.sim.controller import Channel, ControllerDesk, Sent
-from authguard_r.sim.proof import prove
+from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.site.model import Site, stopping_mm
 from authguard_r.site.source import convert, read_text, read_yaml
@@ -398,7 +399,9 @@ class House:
         self.controller = self.enter(ClientRole.CONTROLLER, "controller-courier-1", nonce=NONCE)
         self._lives += 1
         self.desk = ControllerDesk(
-            self.robot, life=self._lives, now_ms=self.clock.ms, speed_up=self._speed_up
+            SymbolicBody(self.robot, speed_up=self._speed_up),
+            life=self._lives,
+            now_ms=self.clock.ms,
         )
         welcome = self.controller.got.pop(0)
         proven = prove(welcome, greeting_of(self.folder), nonce=NONCE, now=worlds.NOW)

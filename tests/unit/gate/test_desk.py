@@ -15,7 +15,7 @@ from authguard_r.commands import Verb
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast
 from authguard_r.core.token import sign_object
-from authguard_r.gate.desk import PART
+from authguard_r.gate.plans import PART
 from authguard_r.gate.view import View
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.frames import Frame, raw_frame

@@ -9,6 +9,8 @@ import msgspec
 import pytest
 
 import worlds
+from authguard_r.client.controller import Channel
+from authguard_r.client.proof import prove
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import ControllerError
@@ -25,8 +27,6 @@ from authguard_r.gate.controller import (
     ShadowController,
     longest_ms,
 )
-from authguard_r.sim.controller import Channel
-from authguard_r.sim.proof import prove
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import PROTOCOL, Begun, ClientRole, Ended, Halt, Hello, Kind, Stood
 from unit.gate.house import GO, SCAN, HandClock, House, reasons

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import worlds
+from authguard_r.client.controller import Channel
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, StoreError
@@ -17,7 +18,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.gate.recovery import WITHIN_MS
 from authguard_r.keys.trust import read_trust
-from authguard_r.sim.controller import Channel
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.frames import frame, raw_frame

@@ -12,7 +12,13 @@ import pytest
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.envelope import seal
-from authguard_r.keys.files import holds_key, holds_plain_key, write_keys, write_whole
+from authguard_r.keys.files import (
+    holds_key,
+    holds_plain_key,
+    read_private,
+    write_keys,
+    write_whole,
+)
 from authguard_r.keys.signer import read_keys
 
 KINDS = (Algorithm.ED25519, Algorithm.ML_DSA_65)
@@ -94,3 +100,15 @@ def test_a_name_that_no_file_can_have_is_said(
     with pytest.raises(EnvironmentFault):
         write_whole(Path(name), b"x")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_secret_is_read_from_a_file_that_its_owner_alone_reads(tmp_path: Path) -> None:
+    path = tmp_path / "secret"
+    with pytest.raises(EnvironmentFault, match="cannot read"):
+        read_private(path, where="--token-file")
+    path.write_bytes(b"words")
+    path.chmod(0o604)
+    with pytest.raises(EnvironmentFault, match="chmod 600"):
+        read_private(path, where="--token-file")
+    path.chmod(0o600)
+    assert read_private(path, where="--token-file") == b"words"

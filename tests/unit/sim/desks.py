@@ -9,14 +9,15 @@ import msgspec
 
 import worlds
 from authguard_r.assembly import folder_signer
+from authguard_r.client.controller import Channel, ControllerDesk, Sent
 from authguard_r.client.greeting import Greeting
+from authguard_r.client.proof import Proven, prove
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import ActionType, Digest, RobotId
 from authguard_r.core.token import sign_object
 from authguard_r.keys.trust import read_trust
-from authguard_r.sim.controller import Channel, ControllerDesk, Sent
-from authguard_r.sim.proof import Proven, prove
+from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.site.model import Site
 from authguard_r.wire.frames import Frame, FrameReader, frame
@@ -120,7 +121,7 @@ class Bench:
             faults=faults or Faults(),
         )
         self.now_ms = 5_000
-        self.desk = ControllerDesk(self.robot, life=LIFE, now_ms=self.now_ms)
+        self.desk = ControllerDesk(SymbolicBody(self.robot), life=LIFE, now_ms=self.now_ms)
         self.sent: list[Sent] = []
         for channel in opened:
             self.open(channel)

@@ -8,9 +8,10 @@ from math import hypot
 import pytest
 
 import worlds
+from authguard_r.client.controller import SAMPLE_MS, STEP_MS, Channel
+from authguard_r.client.proof import Proven
 from authguard_r.core.errors import MalformedError
-from authguard_r.sim.controller import SAMPLE_MS, STEP_MS, Channel
-from authguard_r.sim.proof import Proven
+from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Dispatch, Kind, Welcome
 from unit.sim.desks import BRAKE_MM_S2, LIFE, Bench, drive, framed, proven, ticket
@@ -470,7 +471,7 @@ def test_a_desk_that_was_held_up_judges_by_what_it_then_hears() -> None:
 
 def test_a_robot_in_a_hurry_moves_faster_and_its_gate_is_missed_as_soon() -> None:
     bench = Bench()
-    bench.desk._speed_up = 10
+    bench.desk.body = SymbolicBody(bench.robot, speed_up=10)
     bench.dispatch()
     bench.wait(200)
     assert bench.robot.elapsed_ms == 2_000

@@ -9,11 +9,11 @@ import msgspec
 import pytest
 
 import worlds
+from authguard_r.client.driver import BOUNDS
 from authguard_r.client.greeting import Greeting
+from authguard_r.client.proof import MAX_WELCOME, Conversation, prove
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
-from authguard_r.sim.process import BOUNDS
-from authguard_r.sim.proof import MAX_WELCOME, Conversation, prove
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Fault, Kind, Renew, Welcome
 from unit.sim.desks import NONCE, framed, greeting, ticket, welcome

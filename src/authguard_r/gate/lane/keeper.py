@@ -134,7 +134,8 @@ class LaneKeeper:
                 self._asked_s = time.monotonic()
                 self.sync(self._answered)
             with suppress(TimeoutError):
-                await asyncio.wait_for(lost.wait(), ASK_S)
+                async with asyncio.timeout(ASK_S):  # `wait_for` can lose a cancellation (3.11)
+                    await lost.wait()
             is_silent = not (self.alive or lost.is_set())
             if is_silent and not is_told:
                 listener.lane_silent()

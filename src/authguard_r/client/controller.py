@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the symbolic robot's own controller does with each message, and with silence.
+"""What a controller does with each message, and with silence, whatever it is that moves.
 
 It begins an action only when a gate that proved its key says so, and ends it by itself when that
 gate falls silent. No input, no output and no clock: whoever holds the desk brings frames and time.
@@ -8,20 +8,20 @@ Spec page: docs/spec/gate-protocol.md#controllers
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import StrEnum
+from typing import Protocol, runtime_checkable
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from authguard_r.client.proof import Proven
+from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
-from authguard_r.core.identifiers import Digest, ParameterId
+from authguard_r.core.identifiers import Digest, RobotId
+from authguard_r.core.ports import Flight
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
-from authguard_r.sim.motion import Velocity, asked_velocity
-from authguard_r.sim.proof import Proven
-from authguard_r.sim.robot import SimFlight, SymbolicRobot
-from authguard_r.sim.world import DURATION, LATERAL, LINEAR, TURNING
 from authguard_r.wire.frames import Frame, read_body
 from authguard_r.wire.messages import (
     Begun,
@@ -32,6 +32,7 @@ from authguard_r.wire.messages import (
     Halt,
     Kind,
     Renew,
+    Result,
     Stood,
 )
 
@@ -41,8 +42,78 @@ STEP_MS = 20
 SAMPLE_MS = 200
 #: Why a controller ended an action whose gate fell silent.
 RENEWAL_LOST = "RENEWAL_LOST"
-_STREAM = "drive"
-_SAMPLED = frozenset({LINEAR, LATERAL, TURNING, DURATION})
+
+
+@runtime_checkable
+class Telling(Protocol):
+    """A flight that has something to tell the planner when it has ended."""
+
+    def told(self) -> Told | None:
+        """Return it; None: nothing."""
+        ...
+
+
+class Told(Struct, frozen=True):
+    """What an action brought to light.
+
+    Args:
+        content: what the planner is told.
+        texts: every word of it that a model could read.
+    """
+
+    content: bytes
+    texts: tuple[str, ...]
+
+
+class Body(Protocol):
+    """What moves, as its controller knows it; it does one action at a time.
+
+    `obeys` is False of a body that carries out no stop, and `late_ms` how much later it answers:
+    faults that somebody injected.
+    """
+
+    rid: RobotId
+    #: what a sample may name
+    sampled: frozenset[str]
+
+    @property
+    def obeys(self) -> bool:
+        """Carries out stops."""
+        ...
+
+    @property
+    def late_ms(self) -> int:
+        """Answers that much later."""
+        ...
+
+    @property
+    def stands(self) -> bool:
+        """It does not move, as far as anybody can know; without an action it was told to."""
+        ...
+
+    def begin(self, action: Action) -> Flight:
+        """Begin an action.
+
+        Raises:
+            ControllerError: it cannot be begun, and nothing has moved.
+        """
+        ...
+
+    def streams(self, action: Action) -> bool:
+        """Return True for an action that samples may steer while it runs."""
+        ...
+
+    def steer(self, params: Mapping[str, int]) -> None:
+        """Go on with this sample; what it does not name is zero."""
+        ...
+
+    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+        """Brake and hold; what runs ends so once it stands, unless it ended otherwise before."""
+        ...
+
+    def pass_time(self, ms: int) -> None:
+        """Take note that so many milliseconds passed."""
+        ...
 
 
 class Channel(StrEnum):
@@ -58,7 +129,7 @@ class Sent(Struct, frozen=True):
     channel: Channel
     kind: Kind
     id: int
-    body: Begun | Ended | Stood
+    body: Begun | Ended | Stood | Result
 
 
 class _Run(Struct, frozen=True, kw_only=True):
@@ -66,7 +137,7 @@ class _Run(Struct, frozen=True, kw_only=True):
 
     Args:
         order: as it was dispatched.
-        flight: what the world makes of it.
+        flight: what the body makes of it.
         begun_ms: when it began.
         renewed_ms: when the gate was last heard of it.
         sampled_ms: when the last sample came; None before the first.
@@ -74,7 +145,7 @@ class _Run(Struct, frozen=True, kw_only=True):
     """
 
     order: Dispatch
-    flight: SimFlight
+    flight: Flight
     begun_ms: int
     renewed_ms: int
     sampled_ms: int | None = None
@@ -89,23 +160,21 @@ class _Late(Struct, frozen=True):
 
 
 class ControllerDesk:
-    """The controller of one symbolic robot; every method returns what is to be sent.
+    """The controller of one robot; every method returns what is to be sent.
 
     `stops` counts the stops that were carried out since this start, whoever asked for them.
 
     Args:
-        robot: its body and world.
+        body: what moves.
         life: a number of this start, and of no other; above 0.
         now_ms: the monotonic clock at the start.
-        speed_up: how often faster than the clock the world runs; 1 but for demonstrations.
     """
 
-    def __init__(self, robot: SymbolicRobot, *, life: int, now_ms: int, speed_up: int = 1) -> None:
-        self.robot = robot
+    def __init__(self, body: Body, *, life: int, now_ms: int) -> None:
+        self.body = body
         self.life = life
         self.stops = 0
         self._now_ms = now_ms
-        self._speed_up = speed_up
         self._proven: set[Channel] = set()
         self._run: _Run | None = None
         self._last: Ended | None = None
@@ -136,7 +205,7 @@ class ControllerDesk:
             proven: its proof, which only `proof.prove` makes.
             now_ms: the monotonic clock.
         """
-        if proven.welcome.robot != self.robot.rid:
+        if proven.welcome.robot != self.body.rid:
             raise RuntimeError("a proof for another robot was let through")
         self._advance(now_ms)
         self._proven.add(channel)
@@ -176,6 +245,7 @@ class ControllerDesk:
     def tick(self, now_ms: int) -> tuple[Sent, ...]:
         """Let the world go on to now; what nobody renewed is stopped."""
         self._advance(now_ms)
+        self._settle()  # what ended in this very millisecond, too
         return self._take()
 
     # messages
@@ -204,10 +274,8 @@ class ControllerDesk:
             return Reason.STOPPED
         if self._run is not None:
             return Reason.BUSY
-        streams = order.action.type == _STREAM
-        begin = self.robot.begin_stream if streams else self.robot.begin
         try:
-            flight = begin(order.action)
+            flight = self.body.begin(order.action)
         except ControllerError:
             return Reason.CONTROLLER_FAILED
         now = self._now_ms
@@ -221,26 +289,25 @@ class ControllerDesk:
 
     def _forward(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
         sample = read_body(frame.body, Forward)
-        if not sample.params.keys() <= _SAMPLED:
+        if not sample.params.keys() <= self.body.sampled:
             raise MalformedError("expected a velocity", where="forward.params")
         run = self._running(sample.ticket)
-        if run is not None and run.order.action.type == _STREAM:
-            params = {ParameterId(name): value for name, value in sample.params.items()}
-            self.robot.steer(asked_velocity(params))
+        if run is not None and self.body.streams(run.order.action):
+            self.body.steer(sample.params)
             self._run = replace(run, sampled_ms=now_ms)
 
     def _close(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
         ticket = read_body(frame.body, Close).ticket
         self._advance(now_ms)
         run = self._running(ticket)
-        if run is not None and run.order.action.type == _STREAM:
-            self.robot.brake(Outcome.SUCCEEDED)
+        if run is not None and self.body.streams(run.order.action):
+            self.body.brake(Outcome.SUCCEEDED)
             self._settle()
 
     def _halt(self, channel: Channel, frame: Frame, now_ms: int) -> None:
         read_body(frame.body, Halt)
         self._advance(now_ms)
-        if not self.robot.faults.ignores_stops:
+        if self.body.obeys:
             self._halts[channel, frame.id] = None
             self._stop(Reason.STOPPED)
 
@@ -256,7 +323,7 @@ class ControllerDesk:
         while self._now_ms < now_ms:
             step = min(STEP_MS, now_ms - self._now_ms)
             self._now_ms += step
-            self.robot.pause(step * self._speed_up)
+            self.body.pass_time(step)
             self._settle()
             self._guard()
 
@@ -270,17 +337,17 @@ class ControllerDesk:
         elif now - run.begun_ms >= run.order.max_ms:
             self._stop(Reason.LEASE_ENDED)
         elif run.sampled_ms is not None and now - run.sampled_ms >= SAMPLE_MS:
-            self.robot.steer(Velocity())
+            self.body.steer({})
 
     def _stop(self, why: str) -> None:
         """Brake and hold; a stop that comes while one is carried out joins it."""
-        if self._is_stopping or self.robot.faults.ignores_stops:
+        if self._is_stopping or not self.body.obeys:
             return
         self.stops += 1
         self._is_stopping = True
         if self._run is not None and not self._run.why:
             self._run = replace(self._run, why=why)
-        self.robot.brake()
+        self.body.brake()
         self._settle()
 
     def _settle(self) -> None:
@@ -291,9 +358,13 @@ class ControllerDesk:
             if outcome is None:
                 return
             self._run, self._last = None, _ended(run, outcome)
-            del self.robot.trace[:-1]  # a process lives long
+            told = run.flight.told() if isinstance(run.flight, Telling) else None
+            if told is not None:
+                ticket, content, texts = run.order.ticket, told.content, told.texts
+                result = Result(ticket=ticket, content=content, texts=texts)
+                self._say(Channel.GATE, Kind.RESULT, result)
             self._say(Channel.GATE, Kind.ENDED, self._last)
-        if self._is_stopping:
+        if self._is_stopping and self.body.stands:
             self._is_stopping = False
             self._tell_stood()
 
@@ -312,10 +383,14 @@ class ControllerDesk:
     # messages out
 
     def _say(
-        self, channel: Channel, kind: Kind, body: Begun | Ended | Stood, number: int = 0
+        self,
+        channel: Channel,
+        kind: Kind,
+        body: Begun | Ended | Stood | Result,
+        number: int = 0,
     ) -> None:
         if channel in self._proven:
-            due = self._now_ms + self.robot.faults.answers_late_ms
+            due = self._now_ms + self.body.late_ms
             self._late.append(_Late(due, Sent(channel, kind, number, body)))
 
     def _take(self) -> tuple[Sent, ...]:

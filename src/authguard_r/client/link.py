@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Protocol
 
 from authguard_r.client.greeting import GateVerifier, Greeting
+from authguard_r.client.proof import Conversation, Proven
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, shown
 from authguard_r.core.identifiers import Identifier, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.sim.proof import Conversation, Proven
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import ClientRole, Kind
 
@@ -238,7 +238,8 @@ class Caller:
             self._log.say("unreachable", self._path.name, message=error.strerror or str(error))
             return False
         try:
-            await asyncio.wait_for(link.decided.wait(), WELCOME_S)
+            async with asyncio.timeout(WELCOME_S):  # `wait_for` may lose a cancellation
+                await link.decided.wait()
         except TimeoutError:
             self._log.say("no proof in time", self._path.name)
             link.hang_up()

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard mcp`: a robot's MCP server behind its gate."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from authguard_r.cli.inputs import (
+    BindingOption,
+    JsonFlag,
+    SiteOption,
+    TrustOption,
+    load_site,
+    read_binding,
+)
+from authguard_r.cli.out import emit
+from authguard_r.core.identifiers import RobotId
+from authguard_r.keys.files import write_whole
+from authguard_r.keys.trust import read_trust
+from authguard_r.normalize.dialects import Call
+
+RunOption = Annotated[Path, typer.Option("--run", help="The gate's run folder.")]
+
+
+def mcp_command(
+    server: Annotated[
+        list[str],
+        typer.Argument(metavar="SERVER...", help="The tools' server: its command, or its URL."),
+    ],
+    robot: Annotated[str, typer.Option("--robot", help="Whose tools they are.")],
+    run: RunOption,
+    site: SiteOption,
+    binding: BindingOption,
+    trust: TrustOption,
+    pins: Annotated[
+        Path | None, typer.Option("--pins", help="What the server's tools have to be.")
+    ] = None,
+    variable: Annotated[
+        list[str] | None,
+        typer.Option("--env", help="A variable that the server gets: NAME, or NAME=VALUE."),
+    ] = None,
+    stop: Annotated[
+        list[str] | None,
+        typer.Option("--stop-call", help='Stops the robot: TOOL or TOOL={"argument": ...}.'),
+    ] = None,
+    listen: Annotated[
+        str | None,
+        typer.Option("--listen", help="Serve streamable HTTP on HOST:PORT of this machine."),
+    ] = None,
+    bearer: Annotated[
+        Path | None,
+        typer.Option("--token-file", help="With --listen: the bearer token that clients show."),
+    ] = None,
+    shadow: Annotated[
+        bool,
+        typer.Option("--shadow", help="With a gate in shadow mode: calls go past it, and it says."),
+    ] = False,
+    client: Annotated[str, typer.Option("--client", help="The planner's name in the log.")] = "mcp",
+) -> int:
+    """Stand between a planner's MCP client and a robot's MCP server.
+
+    Put it where the server's command stood in the client's configuration: the client is shown the
+    bound tools, each call is decided by the gate, and only what the gate releases is called.
+    """
+    from authguard_r.mcp.listening import listening, read_bearer, serve_http
+    from authguard_r.mcp.pins import read_pins
+    from authguard_r.mcp.process import Setup, over_stdio, serve
+
+    if (listen is None) != (bearer is None):
+        text = "a port does not say who asks: give --listen with --token-file"
+        raise typer.BadParameter(text, param_hint="--listen")
+
+    model = load_site(site, trust)
+    setup = Setup(
+        robot=RobotId(robot),
+        run=run,
+        site=model,
+        binding=read_binding(binding, model),
+        trust=lambda: read_trust(trust),
+        server=tuple(server),
+        environment=dict(map(_variable, variable or ())),
+        pins=None if pins is None else read_pins(pins),
+        stops=tuple(map(_call, stop or ())),
+        client=client,
+        shadow=shadow,
+    )
+    read_trust(trust)  # what is missing is said now; each connection reads it anew
+    if listen is None or bearer is None:
+        asyncio.run(serve(setup, over_stdio))
+        return 0
+    token, made = read_bearer(bearer), listening(listen)
+    host, port, *_ = made.getsockname()
+    sys.stderr.write(f"serving http://{host}:{port}/mcp\n")
+    asyncio.run(serve(setup, lambda front: serve_http(front, made, token)))
+    return 0
+
+
+def mcp_tools_command(
+    server: Annotated[
+        list[str],
+        typer.Argument(metavar="SERVER...", help="The tools' server: its command, or its URL."),
+    ],
+    site: SiteOption,
+    binding: BindingOption,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write what the tools are here, for `--pins`.")
+    ] = None,
+    variable: Annotated[
+        list[str] | None,
+        typer.Option("--env", help="A variable that the server gets: NAME, or NAME=VALUE."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Ask a robot's MCP server for its tools, and say what a gateway would do with each.
+
+    Exit code 1 when binding and server do not have the same tools: it was made for another version.
+    """
+    from authguard_r.mcp.front import fate
+    from authguard_r.mcp.pins import pins_bytes
+    from authguard_r.mcp.upstream import listed
+
+    model = load_site(site)
+    tools = read_binding(binding, model)
+    pins = asyncio.run(listed(tuple(server), dict(map(_variable, variable or ()))))
+    fates = {pin.name: fate(pin.name, tools, model) for pin in pins.tools}
+    gone = sorted(set(tools.tools) - set(fates))
+    if out is not None:
+        write_whole(out, pins_bytes(pins))
+    width = max(map(len, fates), default=0)
+    lines = [f"{name.ljust(width)}  {text}" for name, text in fates.items()]
+    lines += [f"bound, and the server has none: {', '.join(gone)}"] if gone else []
+    emit({"tools": fates, "missing": gone}, lines, as_json=as_json)
+    return 1 if "hidden: not bound" in fates.values() or gone else 0
+
+
+def _call(text: str) -> Call:
+    name, _, written = text.partition("=")
+    try:
+        arguments = json.loads(written or "{}")
+    except (ValueError, RecursionError) as error:
+        raise typer.BadParameter(f"expected JSON: {error}", param_hint="--stop-call") from error
+    if not name or not isinstance(arguments, dict):
+        raise typer.BadParameter('expected TOOL={"argument": ...}', param_hint="--stop-call")
+    return Call(name, arguments, "--stop-call")
+
+
+def _variable(text: str) -> tuple[str, str]:
+    name, is_set, value = text.partition("=")
+    if is_set:
+        return name, value
+    if name not in os.environ:
+        raise typer.BadParameter(f"`{name}` is not set here", param_hint="--env")
+    return name, os.environ[name]

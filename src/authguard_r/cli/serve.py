@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard serve`: a robot's gate as a decision point over HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import socket
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from authguard_r.cli.exposition import exposition
+from authguard_r.client.link import wall_now
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import RobotId
+from authguard_r.keys.certificate import Role
+from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.shapes import Disclosure
+from authguard_r.wire.messages import Mode
+
+if TYPE_CHECKING:
+    from OpenSSL.SSL import Context
+
+    from authguard_r.http.clients import Doorkeeper
+
+
+def serve_command(
+    robot: Annotated[str | None, typer.Option("--robot", help="Whose gate it is.")] = None,
+    run: Annotated[Path | None, typer.Option("--run", help="The gate's run folder.")] = None,
+    trust: Annotated[
+        Path | None, typer.Option("--trust", help="The trust folder: the gate proves itself.")
+    ] = None,
+    listen: Annotated[
+        str, typer.Option("--listen", help="HOST:PORT; wider than this machine with TLS alone.")
+    ] = "127.0.0.1:0",
+    bearer: Annotated[
+        Path | None, typer.Option("--token-file", help="The bearer token that clients show.")
+    ] = None,
+    tls_cert: Annotated[
+        Path | None, typer.Option("--tls-cert", help="The server's certificate, PEM.")
+    ] = None,
+    tls_key: Annotated[
+        Path | None, typer.Option("--tls-key", help="Its private key, PEM, mode 600.")
+    ] = None,
+    client_certificates: Annotated[
+        bool,
+        typer.Option(
+            "--client-certificates", help="Clients show a certificate of the trust folder."
+        ),
+    ] = False,
+    client_role: Annotated[
+        list[Role] | None,
+        typer.Option("--client-role", help="Which of them may ask; may be repeated."),
+    ] = None,
+    url: Annotated[
+        str | None, typer.Option("--url", help="Where clients reach it, if not at HOST:PORT.")
+    ] = None,
+    disclosure: Annotated[
+        Disclosure, typer.Option("--disclosure", help="How much of a refusal is told.")
+    ] = Disclosure.CODES,
+    propose: Annotated[
+        bool, typer.Option("--propose", help="Calls are carried out too, at /v1/proposals.")
+    ] = False,
+    shadow: Annotated[
+        bool,
+        typer.Option("--shadow", help="With a gate in shadow mode: always go on, and it notes."),
+    ] = False,
+    client: Annotated[str, typer.Option("--client", help="Its name in the gate's log.")] = "http",
+    openapi: Annotated[
+        bool, typer.Option("--openapi", help="Print the OpenAPI document, without a gate.")
+    ] = False,
+) -> int:
+    """Answer over HTTP what the gate would decide: OpenID AuthZEN, for enforcement points.
+
+    A permit is advice: it uses nothing up and holds for no time. What is to be held to it is
+    carried out by the gate (`--propose`).
+    """
+    from authguard_r.http import process
+    from authguard_r.http.link import Where
+
+    if openapi:
+        sys.stdout.write(process.openapi(propose=propose).decode() + "\n")
+        return 0
+    if robot is None or run is None or trust is None:
+        raise typer.BadParameter("expected --robot, --run and --trust", param_hint="--robot")
+    if shadow and propose:
+        text = "a gate in shadow mode carries nothing out"
+        raise typer.BadParameter(text, param_hint="--propose")
+    if (tls_cert is None) != (tls_key is None):
+        raise typer.BadParameter("expected both or neither", param_hint="--tls-cert")
+    if client_certificates and tls_cert is None:
+        text = "they come by TLS: --tls-cert, --tls-key"
+        raise typer.BadParameter(text, param_hint="--client-certificates")
+    if client_role and not client_certificates:
+        raise typer.BadParameter("only with --client-certificates", param_hint="--client-role")
+    roles = frozenset(client_role or ()) if client_certificates else None
+    doorkeeper = _doorkeeper(bearer, trust, RobotId(robot), roles)
+    read_trust(trust)  # what is missing is said now; each connection reads it anew
+    context = _tls(tls_cert, tls_key, client_certificates=client_certificates)
+    made = _listening(listen, has_tls=context is not None)
+    where = _where(made, listen, url, has_tls=context is not None)
+    setup = process.Setup(
+        where=Where(
+            robot=RobotId(robot),
+            run=run,
+            trust=lambda: read_trust(trust),
+            client=client,
+            mode=Mode.SHADOW if shadow else Mode.ENFORCE,
+        ),
+        doorkeeper=doorkeeper,
+        url=where,
+        hosts=_hosts(made) if context is None else None,
+        tls=context,
+        disclosure=disclosure,
+        propose=propose,
+        metrics=exposition,
+    )
+    asyncio.run(process.serve(setup, made))
+    return 0
+
+
+def _doorkeeper(
+    bearer: Path | None, trust: Path, robot: RobotId, roles: frozenset[Role] | None
+) -> Doorkeeper:
+    """Return who says who may ask: by a token, by certificates, or by both."""
+    from authguard_r.http.clients import ROLES, Certificates, Doorkeeper
+    from authguard_r.listening import read_bearer
+
+    if bearer is None and roles is None:
+        text = "a port does not say who asks: give --token-file or --client-certificates"
+        raise typer.BadParameter(text, param_hint="--token-file")
+
+    def read() -> Trust:
+        return read_trust(trust)
+
+    held = None
+    if roles is not None:
+        held = Certificates(read, robot, roles or ROLES, wall_now)
+        held.require_usable()
+    return Doorkeeper(None if bearer is None else read_bearer(bearer), held)
+
+
+def _tls(cert: Path | None, key: Path | None, *, client_certificates: bool) -> Context | None:
+    from authguard_r.http.tls import read_context
+
+    if cert is None or key is None:
+        return None
+    return read_context(cert, key, client_certificates=client_certificates)
+
+
+def _listening(address: str, *, has_tls: bool) -> socket.socket:
+    from authguard_r.listening import listening
+
+    try:
+        return listening(address, wide=has_tls)
+    except MalformedError as error:
+        if has_tls:
+            raise
+        text = f"{error.message}; for a wider one give --tls-cert and --tls-key"
+        raise MalformedError(text, where=error.where) from error
+
+
+def _where(made: socket.socket, listen: str, url: str | None, *, has_tls: bool) -> str:
+    """Return where clients reach the server."""
+    host, port, *_ = made.getsockname()
+    address = ipaddress.ip_address(host)
+    if url is None and address.is_unspecified:
+        made.close()
+        raise typer.BadParameter(f"`{listen}` is no address that clients reach: --url")
+    shown = f"[{host}]" if address.version == 6 else host
+    return (url or f"{'https' if has_tls else 'http'}://{shown}:{port}").rstrip("/")
+
+
+def _hosts(made: socket.socket) -> frozenset[bytes]:
+    """Return the names that a request on loopback may call this server by."""
+    host, port, *_ = made.getsockname()
+    names = {f"[{host}]" if ":" in host else host, "localhost", "127.0.0.1", "[::1]"}
+    return frozenset(f"{name}:{port}".encode() for name in names)

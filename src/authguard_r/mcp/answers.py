@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a tool's server answered, as the planner is told it, and every word in it.
+
+Whatever a server says about its own answer decides nothing; the words are for the ledger of what
+the planner has seen. Spec page: docs/spec/mcp.md#results
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import mcp_types as types
+
+from authguard_r.client.controller import Told
+from authguard_r.tools.server import WITHHELD, Answer, fits
+
+_TOO_LONG = types.CallToolResult(
+    content=[types.TextContent(type="text", text=WITHHELD)], is_error=True
+)
+
+
+def answer_from(result: types.CallToolResult) -> Answer:
+    """Return a result as a body reads it, and as it passes through the gate."""
+    told = _told_of(result)
+    return Answer(
+        is_error=bool(result.is_error),
+        structured=result.structured_content,
+        told=told if fits(told) else _told_of(_TOO_LONG),
+    )
+
+
+def _told_of(result: types.CallToolResult) -> Told:
+    content = result.model_dump_json(by_alias=True, exclude_none=True).encode()
+    return Told(content, tuple(texts_of(result)) or ("",))
+
+
+def answer_of(content: bytes) -> types.CallToolResult:
+    """Return the answer again, without what its server claimed about it.
+
+    Raises:
+        ValueError: it is none.
+    """
+    return types.CallToolResult.model_validate_json(content).model_copy(update={"meta": None})
+
+
+def texts_of(result: types.CallToolResult) -> Iterator[str]:
+    """Yield every word that a model could read; of a picture, that there is one."""
+    for item in result.content:
+        if isinstance(item, types.TextContent):
+            yield item.text
+        elif isinstance(item, types.EmbeddedResource):
+            yield str(item.resource.uri)
+            yield getattr(item.resource, "text", "")
+        elif isinstance(item, types.ResourceLink):
+            yield f"{item.uri} {item.name} {item.description or ''}"
+        else:
+            yield ""
+    if result.structured_content is not None:
+        yield json.dumps(result.structured_content, ensure_ascii=False)

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tools' server: one connection, made again when it is lost, held to what was pinned.
+
+It is asked for tools and for nothing else. Its resources, prompts, completions, log lines and
+notifications reach nobody, and what it asks of a client (a model, a person, its files) is declined.
+Spec page: docs/spec/mcp.md#upstream
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import mcp_types as types
+from mcp import Client, MCPError, StdioServerParameters, stdio_client
+
+from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, Log
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.reasons import Reason
+from authguard_r.mcp.answers import answer_from
+from authguard_r.mcp.pins import Pins, pins_of
+from authguard_r.tools.server import Answer, CallError
+
+#: A server that does not answer a ping within this is let go, in seconds.
+PING_S = 5.0
+#: How often it is asked whether it is there, in seconds.
+LOOK_S = 2.0
+#: A server has said who it is and what it has within this, in seconds.
+OPEN_S = 20.0
+_MOST_PAGES = 100
+
+
+class Upstream:
+    """The connection to the tools' server.
+
+    Args:
+        server: its command with arguments, or its URL.
+        pins: what its tools have to be; None takes what it says at the first connection.
+        environment: variables that it gets beside the usual ones.
+        log: says once what happened.
+        changed: called when it came or went.
+    """
+
+    def __init__(
+        self,
+        server: tuple[str, ...],
+        *,
+        pins: Pins | None,
+        environment: dict[str, str],
+        log: Log,
+        changed: Callable[[], None],
+    ) -> None:
+        self.pins = pins
+        self._server = server
+        self._environment = environment
+        self._log = log
+        self._changed = changed
+        self._client: Client | None = None
+        self._calls = 0  # under way
+        self._lost = asyncio.Event()
+
+    @property
+    def ready(self) -> bool:
+        """True while it is connected and has the tools that were pinned."""
+        return self._client is not None
+
+    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+        """Return a tool's answer as a body reads it; arguments and errors as `ask`'s."""
+        return answer_from(await self.ask(tool, arguments, within_s))
+
+    async def ask(
+        self, tool: str, arguments: dict[str, Any], within_s: float
+    ) -> types.CallToolResult:
+        """Return a tool's answer as it came.
+
+        Args:
+            tool: its name, as the server spells it.
+            arguments: rebuilt from what was authorized.
+            within_s: longest time to wait.
+
+        Raises:
+            CallError: no answer came.
+        """
+        client = self._client
+        if client is None:
+            raise CallError("the tools' server is not there", sent=False)
+        self._calls += 1
+        try:
+            return await client.session.call_tool(tool, arguments, read_timeout_seconds=within_s)
+        except MCPError as error:
+            if error.code in {types.REQUEST_TIMEOUT, types.CONNECTION_CLOSED}:
+                self._lost.set()
+                raise CallError(error.error.message, sent=True) from error
+            text = types.TextContent(type="text", text=f"{error.code}: {error.error.message}")
+            return types.CallToolResult(content=[text], is_error=True)
+        except (ValueError, OSError, RuntimeError) as error:
+            raise CallError(type(error).__name__, sent=True) from error
+        finally:
+            self._calls -= 1
+
+    async def stay(self) -> None:
+        """Keep the connection until this is canceled."""
+        pause = FIRST_PAUSE_S
+        while True:
+            try:
+                was_open = await self._once()
+            except (MCPError, OSError, ValueError, RuntimeError, TimeoutError) as error:
+                self._log.say("unreachable", "upstream", message=str(error) or type(error).__name__)
+                was_open = False
+            except ExceptionGroup as group:
+                self._log.say("unreachable", "upstream", message=str(group.exceptions[0]))
+                was_open = False
+            finally:
+                self._gone()
+            pause = FIRST_PAUSE_S if was_open else min(pause * 2, LONGEST_PAUSE_S)
+            await asyncio.sleep(pause)
+
+    async def _once(self) -> bool:
+        """Connect and stay while it lasts; return whether its tools were what was pinned."""
+        self._lost.clear()
+        async with asyncio.timeout(OPEN_S) as opening:
+            async with Client(_transport(self._server, self._environment)) as client:
+                found = pins_of(await _tools(client))
+                opening.reschedule(None)
+                if self.pins is None:
+                    self.pins = found
+                differing = self.pins.differ(found)
+                if differing:
+                    self._log.say("changed", "upstream", tools=", ".join(differing)[:200])
+                    await asyncio.sleep(LONGEST_PAUSE_S)
+                    return False
+                self._client = client
+                self._log.say("connected", "upstream")
+                self._changed()
+                await self._watch(client)
+                return True
+
+    async def _watch(self, client: Client) -> None:
+        """Return when the server is gone, or does not say that it is there."""
+        while not self._lost.is_set() and await self._is_there(client):
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    await self._lost.wait()
+
+    async def _is_there(self, client: Client) -> bool:
+        """Ask a server that is idle; one that does a call may hear nothing until it is done.
+
+        How long a call may take, its lease says; a connection that breaks ends it at once.
+        """
+        if self._calls:
+            return True
+        try:
+            async with asyncio.timeout(PING_S):
+                await client.session.send_ping()
+        except TimeoutError:
+            return self._calls > 0  # one began meanwhile
+        except (MCPError, OSError, RuntimeError, ValueError) as error:
+            # else it is there, and has no ping
+            return isinstance(error, MCPError) and error.code == types.METHOD_NOT_FOUND
+        return True
+
+    def _gone(self) -> None:
+        if self._client is not None:
+            self._client = None
+            self._log.say("disconnected", "upstream")
+            self._changed()
+
+
+async def listed(server: tuple[str, ...], environment: dict[str, str]) -> Pins:
+    """Return what a server's tools are, asked once.
+
+    Raises:
+        EnvironmentFault: it does not answer, or not in the protocol.
+    """
+    try:
+        async with asyncio.timeout(OPEN_S), Client(_transport(server, environment)) as client:
+            return pins_of(await _tools(client))
+    except (MCPError, OSError, ValueError, RuntimeError, TimeoutError, ExceptionGroup) as error:
+        raise EnvironmentFault(
+            f"the tools' server does not answer: {error!s}"[:300],
+            reason=Reason.CONTROLLER_FAILED,
+            where=" ".join(server)[:200],
+        ) from error
+
+
+async def _tools(client: Client) -> list[types.Tool]:
+    """Return every tool that the server lists.
+
+    Raises:
+        ValueError: its list does not end.
+    """
+    found: list[types.Tool] = []
+    cursor: str | None = None
+    for _ in range(_MOST_PAGES):
+        page = await client.list_tools(cursor=cursor)
+        found += page.tools
+        cursor = page.next_cursor
+        if cursor is None:
+            return found
+    raise ValueError("the list of tools does not end")
+
+
+def _transport(server: tuple[str, ...], environment: dict[str, str]) -> Any:
+    if len(server) == 1 and server[0].startswith(("http://", "https://")):
+        return server[0]
+    command, *arguments = server
+    return stdio_client(StdioServerParameters(command=command, args=arguments, env=environment))

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What moves behind calls of tools, as a controller's body (`client.controller.Body`).
+
+A released action is rebuilt into the one call that it is, and that call is made once. Whether it
+did its work, the binding says how to read; a call that nobody answered ends `unknown`.
+Spec page: docs/spec/adapters.md#driving
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Protocol
+
+from msgspec import Struct
+
+from authguard_r.client.controller import Told
+from authguard_r.client.link import mono_ms
+from authguard_r.core.action import Action
+from authguard_r.core.errors import ControllerError, MalformedError
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.standing import Outcome, Spend
+from authguard_r.normalize import Binder
+from authguard_r.normalize.binding import Constant
+from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.rebuild import call_bytes
+from authguard_r.site.model import ActionModel, Site
+from authguard_r.tools.server import CallError, Server
+
+#: Longest time that a call may take, in seconds; the lease ends it before.
+LONGEST_S = 3_600.0
+#: A call that stops the robot is answered within this, in seconds.
+STOP_S = 1.5
+#: Between two tries to stop it, and between two looks at one, in seconds.
+AGAIN_S, _LOOK_S = 1.0, 0.01
+
+
+class ToolFlight:
+    """One call while it runs (`core.ports.Flight`)."""
+
+    def __init__(self, kind: ActionModel) -> None:
+        self._kind = kind
+        self._begun_ms = mono_ms()
+        self._ended_ms = self._begun_ms
+        self._outcome: Outcome | None = None
+        self._told: Told | None = None
+
+    @property
+    def moves(self) -> bool:
+        """It moves the robot: to stop it, the robot has to be told."""
+        return self._kind.moves
+
+    def outcome(self) -> Outcome | None:
+        """Return how it ended, or None while it runs."""
+        return self._outcome
+
+    def used(self) -> Spend:
+        """Return what it has used: the whole time that the call took."""
+        took = (mono_ms() if self._outcome is None else self._ended_ms) - self._begun_ms
+        told = 0 if self._told is None else len(self._told.content)
+        return Spend(
+            motion_ms=took if self._kind.moves else 0,
+            wait_ms=took if self._kind.waits else 0,
+            recorded_bytes=told if self._kind.records else 0,
+        )
+
+    def told(self) -> Told | None:
+        """Return what it brought to light."""
+        return self._told
+
+    def end(self, outcome: Outcome, told: Told | None = None) -> None:
+        """Note how it ended; the first word counts."""
+        if self._outcome is None:
+            self._outcome, self._told, self._ended_ms = outcome, told, mono_ms()
+
+
+class Rebuilds(Protocol):
+    """Says what an action is called (`normalize.rebuild.Rebuilder`)."""
+
+    def rebuild(self, action: Action) -> Call:
+        """Return the exact call that carries it out.
+
+        Raises:
+            MalformedError: there is none.
+        """
+        ...
+
+
+class Means(Struct, frozen=True, kw_only=True):
+    """What a body drives with.
+
+    Args:
+        site: its words.
+        binder: what calls mean.
+        rebuilder: what actions are called.
+        stops: calls that stop the robot, in order; empty: nobody can say that it stands.
+    """
+
+    site: Site
+    binder: Binder
+    rebuilder: Rebuilds
+    stops: tuple[Call, ...] = ()
+
+
+class ToolBody:
+    """A robot behind calls of tools.
+
+    Args:
+        rid: which.
+        server: carries out the calls.
+        means: what it is driven with.
+        changed: called when something ended.
+    """
+
+    sampled: frozenset[str] = frozenset()
+    obeys = True
+    late_ms = 0
+
+    def __init__(
+        self, rid: RobotId, server: Server, means: Means, changed: Callable[[], None]
+    ) -> None:
+        self.rid = rid
+        self._server = server
+        self._means = means
+        self._changed = changed
+        self._flight: ToolFlight | None = None
+        self._is_told = False  # to move, and nobody has said that it does not
+        self._was_told = bool(means.stops)  # perhaps by a start before, which nobody remembers
+        self._is_stopping = False
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def stands(self) -> bool:
+        """True while it was not told to move, or somebody has said that it does not any more."""
+        return not (self._is_told or self._was_told)
+
+    def begin(self, action: Action) -> ToolFlight:
+        """Make the call.
+
+        Raises:
+            ControllerError: no tool carries the action, the server is not there, or the robot is
+                still being stopped.
+        """
+        if not self._server.ready:
+            raise ControllerError("the tools' server is not there")
+        if self._is_stopping:
+            raise ControllerError("the robot is being stopped, and nobody says that it stands")
+        try:
+            call = self._means.rebuilder.rebuild(action)
+        except MalformedError as error:
+            raise ControllerError(error.message) from error
+        flight = self._flight = ToolFlight(self._means.site.vocabulary[action.type])
+        before, self._is_told = self._is_told, self._is_told or flight.moves
+        self._task = asyncio.ensure_future(self._carry(flight, call, before))
+        return flight
+
+    def streams(self, action: Action) -> bool:  # noqa: ARG002 - no tool is one
+        """Return False: a tool is called once and not steered."""
+        return False
+
+    def steer(self, params: Mapping[str, int]) -> None:
+        """Do nothing: nothing streams."""
+
+    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+        """Call off what runs, and stop the robot where it may move; a second time changes nothing.
+
+        What could not be stopped is tried again until it was.
+        """
+        runs = self._flight is not None and self._flight.outcome() is None
+        if self._is_stopping or (self.stands and not runs):
+            return
+        if self._task is not None:
+            self._task.cancel()
+        self._is_stopping = True
+        self._task = asyncio.ensure_future(self._stop(outcome))
+
+    def pass_time(self, ms: int) -> None:
+        """Do nothing: time passes by itself."""
+
+    async def let_go(self) -> None:
+        """Stop what was told to move, before its server is let go; not longer than `STOP_S`."""
+        if self._is_told:
+            self.brake()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(STOP_S):
+                    while self._is_stopping:
+                        await asyncio.sleep(_LOOK_S)
+        if self._task is not None:
+            self._task.cancel()
+
+    async def _carry(self, flight: ToolFlight, call: Call, before: bool) -> None:  # noqa: FBT001
+        """Make the call, and see to it that a robot that did not arrive stands.
+
+        Args:
+            flight: it.
+            call: what it is.
+            before: the robot may have moved already.
+        """
+        told, outcome = None, Outcome.UNKNOWN
+        try:
+            arguments = json.loads(call_bytes(call))["arguments"]
+            answer = await self._server.call(call.tool, arguments, LONGEST_S)
+        except CallError as error:
+            if not error.sent:
+                self._is_told, outcome = before, Outcome.NOT_STARTED
+        else:
+            done = answer.is_done(self._means.binder.succeeds(call))
+            told, outcome = answer.told, Outcome.SUCCEEDED if done else Outcome.FAILED
+            if flight.moves and (done or await self._stopped()):
+                self._is_told = self._was_told = False
+        flight.end(outcome, told)
+        self._changed()
+        if flight.moves and self._is_told and self._means.stops:
+            self._is_stopping = True  # nobody asked for it: nobody knows where it goes
+            await self._stop(Outcome.ABORTED)
+
+    async def _stop(self, outcome: Outcome) -> None:
+        """Make the calls that stop the robot, until they are answered.
+
+        Without such calls nobody knows that it stands.
+        """
+        while not (stands := self.stands or await self._stopped()) and self._means.stops:
+            self._ended(Outcome.UNKNOWN)
+            await asyncio.sleep(AGAIN_S)
+        if stands:
+            self._is_told = self._was_told = False
+        self._is_stopping = False
+        self._ended(outcome if stands else Outcome.UNKNOWN)
+
+    def _ended(self, outcome: Outcome) -> None:
+        if self._flight is not None:
+            self._flight.end(outcome)
+        self._changed()
+
+    async def _stopped(self) -> bool:
+        """Make the stop calls once; True when each said that it has done its work."""
+        try:
+            async with asyncio.timeout(STOP_S):
+                for call in self._means.stops:
+                    answer = await self._server.call(call.tool, call.arguments, STOP_S)
+                    if not answer.is_done(self._wanted(call)):
+                        return False
+        except (CallError, TimeoutError):
+            return False
+        return bool(self._means.stops)
+
+    def _wanted(self, call: Call) -> Mapping[str, Constant]:
+        """Return what a stop call's answer has to say, where the binding knows the call."""
+        try:
+            return self._means.binder.succeeds(call)
+        except MalformedError:
+            return {}

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planner's end: proposes one call after the other, and tells what became of each.
+
+It decides nothing and carries nothing out; its connection is made anew when it was lost.
+Spec page: docs/spec/adapters.md#ends
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+from authguard_r.client import AsyncGateClient
+from authguard_r.client.greeting import GateVerifier
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError, RefusedError
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.reasons import Reason
+from authguard_r.normalize.bind import UNTOLD
+from authguard_r.wire.messages import ClientRole, Mode
+
+#: Characters that are noted at a time.
+MAX_NOTED = 30_000
+#: What a planner is told of a step beside its outcome, where the gate tells it.
+SHOWN = ("outcome", "reasons", "findings", "retryable", "required_approvals", "seq")
+
+
+class Asked(Struct, frozen=True, kw_only=True):
+    """What became of one call, as the gate tells it.
+
+    Args:
+        step: the report of the one step.
+        brought: what was told before it: the decision, and what the tool brought to light.
+        repeated: the same proposal was made before; what it brought to light is not told twice.
+    """
+
+    step: dict[str, Any]
+    brought: tuple[dict[str, Any], ...] = ()
+    repeated: bool = False
+
+    @property
+    def execution(self) -> str | None:
+        """How the released action ended; None when nothing was released."""
+        outcome: str | None = self.step["execution"]["outcome"]
+        return outcome
+
+    @property
+    def verdict(self) -> dict[str, Any]:
+        """What a planner may know of the decision."""
+        return {name: self.step[name] for name in SHOWN if name in self.step}
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """What the tool brought to light, as the gate passed it on; empty: nothing."""
+        return tuple(item["result"] for item in self.brought if "result" in item)
+
+    def result(self) -> bytes:
+        """Return what the tool brought to light last.
+
+        Raises:
+            MalformedError: that cannot be read.
+        """
+        try:
+            return base64.b64decode(self.results[-1], validate=True)
+        except (ValueError, binascii.Error) as error:
+            raise MalformedError("expected base64", where="result") from error
+
+    @property
+    def ticket(self) -> str | None:
+        """The release's ticket, where the gate told it."""
+        return next((item["ticket"] for item in reversed(self.brought) if "ticket" in item), None)
+
+
+class LostError(Exception):
+    """A gate that went while it was asked: nobody knows what became of the call.
+
+    Args:
+        error: how it went.
+    """
+
+    def __init__(self, error: AuthGuardError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+class Planner:
+    """Proposes calls to a gate.
+
+    Args:
+        run: the gate's run folder.
+        robot: whose gate it must be.
+        client: the planner's name in the log.
+        trust: reads the trust root, for each connection anew.
+        shadow: it has to be a gate in shadow mode.
+    """
+
+    def __init__(
+        self,
+        run: Path,
+        robot: RobotId,
+        *,
+        client: str,
+        trust: Callable[[], GateVerifier],
+        shadow: bool,
+    ) -> None:
+        self.turn = asyncio.Lock()  # first come, first served; a gate takes one of a client
+        self._run, self._robot, self._client = run, robot, client
+        self._trust, self._shadow = trust, shadow
+        self._gate: AsyncGateClient | None = None
+        self._is_over = False
+
+    async def propose(
+        self, tool: str, arguments: dict[str, Any], *, key: str | None = None
+    ) -> Asked:
+        """Propose a call; whoever calls this holds the `turn`.
+
+        Args:
+            tool: its name, as the planner wrote it; untrusted.
+            arguments: as it wrote them; untrusted.
+            key: names the proposal, so that asking again is the same one.
+
+        Raises:
+            MalformedError: they are no JSON.
+            AuthGuardError: nothing was decided.
+            LostError: the gate went after it was asked.
+        """
+        plan = {"plan": [{"tool": tool, "arguments": arguments}]}
+        try:
+            data = json.dumps(plan, ensure_ascii=False, allow_nan=False).encode()
+        except (ValueError, TypeError, RecursionError) as error:
+            raise MalformedError("not JSON", where="arguments") from error
+        gate = await self.connected()
+        brought: list[dict[str, Any]] = []
+        try:
+            told = await gate.propose(data, key=key, dialect="json", on_step=brought.append)
+        except AuthGuardError as error:
+            if not gate.is_open:
+                raise LostError(error) from error
+            raise
+        (step, *_) = told["steps"]
+        return Asked(step=step, brought=tuple(brought), repeated=told["repeated"])
+
+    async def unreadable(self, tool: str, text: str) -> None:
+        """Hand in what was written for a call and is none: the gate refuses it, and logs that.
+
+        Args:
+            tool: whose call it was to be; untrusted.
+            text: as it was written, of which the log has the beginning; untrusted.
+
+        Raises:
+            AuthGuardError: the gate did not answer.
+        """
+        said = f"unreadable arguments of {tool}: {text}"[:MAX_NOTED]  # never JSON: it begins so
+        async with self.turn:
+            gate = await self.connected()
+            await gate.propose(said.encode(errors="backslashreplace"), dialect="json")
+
+    async def note(self, texts: Iterable[str]) -> None:
+        """Tell the gate what the planner is about to see, as the least trusted of all.
+
+        Raises:
+            AuthGuardError: it did not take note.
+        """
+        gate = await self.connected()
+        for text in texts:
+            for at in range(0, max(len(text), 1), MAX_NOTED):
+                await gate.observe(UNTOLD, text[at : at + MAX_NOTED])
+
+    async def connected(self) -> AsyncGateClient:
+        """Return the gate as a planner reaches it, connected anew where it was lost.
+
+        Raises:
+            AuthGuardError: it is not there, or not the one that it has to be.
+        """
+        if self._is_over:
+            raise EnvironmentFault("this end was closed", reason=Reason.CONTROLLER_FAILED)
+        if self._gate is not None and not self._gate.is_open:
+            await self._let_go()
+        if self._gate is None:
+            gate = await AsyncGateClient.connect(
+                self._run / "gate.sock",
+                role=ClientRole.PLANNER,
+                client=self._client,
+                verifier=self._trust(),
+                robot=self._robot,
+                allow_shadow=self._shadow,
+            )
+            if self._shadow and gate.welcome.mode is not Mode.SHADOW:
+                await gate.close()
+                raise RefusedError(
+                    "the gate enforces: calls do not go past it", reason=Reason.ROLE_DENIED
+                )
+            self._gate = gate
+        return self._gate
+
+    async def close(self) -> None:
+        """Let go of the gate for good: who still waits for a turn asks nothing."""
+        self._is_over = True
+        await self._let_go()
+
+    async def _let_go(self) -> None:
+        gate, self._gate = self._gate, None
+        if gate is not None:
+            await gate.close()

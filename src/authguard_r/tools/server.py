@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What carries out calls, whatever it is: another process, or functions of this one.
+
+What it says of its own answer decides nothing; every word of it is for the ledger of what the
+planner has seen. Spec page: docs/spec/adapters.md#driving
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import msgspec
+from msgspec import Struct
+
+from authguard_r.client.controller import Told
+from authguard_r.core.identifiers import Digest
+from authguard_r.normalize.binding import Constant, same
+from authguard_r.wire.messages import BOUND, Kind, Result
+
+#: Longest answer that passes, in bytes; base64 makes a frame of it that the gate reads.
+MAX_ANSWER = 700_000
+#: Most words of an answer that are looked through for the ledger, in characters.
+MAX_TEXT = 120_000
+#: As long as any ticket.
+_TICKET = Digest("t" * 43)
+WITHHELD = "the answer was too long and was withheld"
+
+
+class CallError(Exception):
+    """A call that was not answered: nobody knows what became of it, or it was never sent.
+
+    Args:
+        message: what happened.
+        sent: the call may have been carried out.
+    """
+
+    def __init__(self, message: str, *, sent: bool) -> None:
+        super().__init__(message)
+        self.message = message
+        self.sent = sent
+
+
+class Answer(Struct, frozen=True, kw_only=True):
+    """What came of a call.
+
+    Args:
+        is_error: it says of itself that it has failed.
+        structured: its fields, by name; None when it has none.
+        told: what the planner is told of it.
+    """
+
+    is_error: bool
+    structured: Any = None
+    told: Told | None = None
+
+    def is_done(self, wanted: Mapping[str, Constant]) -> bool:
+        """True when it says that the tool has done its work.
+
+        Args:
+            wanted: what has to stand at which path of its fields.
+        """
+        if self.is_error:
+            return False
+        return all(same(self._at(path), constant) for path, constant in wanted.items())
+
+    def _at(self, path: str) -> Any:
+        value = self.structured
+        for name in path.split("."):
+            if not isinstance(value, dict) or name not in value:
+                return None
+            value = value[name]
+        return value
+
+
+class Server(Protocol):
+    """Carries out calls, one at a time but for those that stop the robot."""
+
+    @property
+    def ready(self) -> bool:
+        """True while a call could be carried out."""
+        ...
+
+    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+        """Carry out a call; canceled, it is called off as far as that can be done.
+
+        Args:
+            tool: its name in the binding.
+            arguments: rebuilt from what was authorized.
+            within_s: longest time to wait.
+
+        Raises:
+            CallError: no answer came.
+        """
+        ...
+
+
+def fits(told: Told) -> bool:
+    """True of an answer that passes through the gate."""
+    if len(told.content) > MAX_ANSWER or sum(map(len, told.texts)) > MAX_TEXT:
+        return False
+    result = Result(ticket=_TICKET, content=told.content, texts=told.texts)
+    return len(msgspec.json.encode(result)) <= BOUND[Kind.RESULT]

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The decision point does what its OpenAPI document says, and refuses everything else as it says.
+
+The document is read, and the server asked, by schemathesis: every check that it has.
+Source: docs/spec/http.md#openapi
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import worlds
+from authguard_r.http.process import openapi
+from gates import RunningGate
+from served import TOKEN, Served, serving
+
+SCHEMATHESIS = Path(sys.executable).parent / "schemathesis"
+
+
+def checked(served: Served, folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    """Return what schemathesis says of a server."""
+    env = {**os.environ, "SCHEMATHESIS_HOOKS": "http_numbers"}
+    env["PYTHONPATH"] = str(worlds.ROOT / "tests")
+    said = [str(SCHEMATHESIS), "--no-color", "run", f"{served.url}/openapi.json"]
+    said += ["-H", f"Authorization: Bearer {TOKEN}", "--checks", "all", *more]
+    said += ["--generation-deterministic"]
+    return subprocess.run(said, capture_output=True, text=True, cwd=folder, env=env, check=False)
+
+
+@pytest.mark.parametrize("examples", [5, pytest.param(500, marks=pytest.mark.campaign)])
+def test_it_does_what_it_says(
+    tmp_path: Path, examples: int, request: pytest.FixtureRequest
+) -> None:
+    if examples > 5 and "campaign" not in request.config.getoption("markexpr"):
+        pytest.skip("a long campaign: pytest -m campaign")
+    with RunningGate(robot=True, estimator=True, refusals=0) as gate:
+        gate.activate()
+        with serving(gate, "--propose") as served:
+            done = checked(served, tmp_path, "--max-examples", str(examples))
+            assert done.returncode == 0, done.stdout[-6_000:]
+            assert {line["status"] for line in served.requests()} >= {200, 400, 401, 404, 405}
+            assert 500 not in {line["status"] for line in served.requests()}
+
+
+def test_the_document_is_the_servers_own() -> None:
+    with RunningGate(simulate=True) as gate:
+        for more in ((), ("--propose",)):
+            with serving(gate, *more) as served:
+                answer = served.get("/openapi.json")
+                assert answer.content == openapi(propose=bool(more))
+                assert ("/v1/proposals" in json.loads(answer.content)["paths"]) is bool(more)

@@ -1,0 +1,828 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot's MCP server behind its gate: real processes, a real client of the protocol.
+
+What reached the server is read from the server's own file: a call that is not there was not made.
+Source: lessons L1, L4, L5, L16; docs/spec/mcp.md
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import (
+    asynccontextmanager,
+    contextmanager,
+    redirect_stderr,
+    redirect_stdout,
+    suppress,
+)
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import mcp_types as types
+import pytest
+from mcp import Client, MCPError, StdioServerParameters, stdio_client
+from mcp.client.streamable_http import streamable_http_client
+from mcp_types.methods import SPEC_CLIENT_METHODS
+from msgspec.structs import replace
+
+import courier_server
+import worlds
+from attesting import Attested, attesting
+from authguard_r.cli import call
+from authguard_r.client import GateClient
+from authguard_r.client.link import Log
+from authguard_r.core.errors import ControllerError, EnvironmentFault
+from authguard_r.keys.trust import read_trust
+from authguard_r.mcp import front as fronts
+from authguard_r.mcp import upstream as upstreams
+from authguard_r.mcp.front import answered, fate
+from authguard_r.mcp.pins import pins_bytes, pins_of, read_pins
+from authguard_r.mcp.process import Gateway, Setup, over_stdio, serve
+from authguard_r.mcp.upstream import Upstream, listed
+from authguard_r.normalize import Binder
+from authguard_r.normalize.binding import Binding, load_binding
+from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.rebuild import Rebuilder
+from authguard_r.normalize.shipped import binding_source
+from authguard_r.site.model import Site
+from authguard_r.site.source import read_site
+from authguard_r.tools.body import Means, ToolBody
+from authguard_r.tools.ends import first_of
+from authguard_r.tools.planner import Asked
+from authguard_r.tools.server import CallError
+from authguard_r.wire.messages import ClientRole, Mode
+from courier_server import FIELDS
+from gates import AUTHGUARD, PATIENCE_S, RunningGate, environment, until
+from worlds import ROOT
+
+SERVER = ROOT / "tests" / "courier_server.py"
+#: Both eras of the protocol, as a client asks for them.
+ERAS = ("legacy", "auto")
+SCOPE = "DESTINATION_OUT_OF_SCOPE"
+HELLO = {
+    "protocolVersion": "2025-11-25",
+    "capabilities": {},
+    "clientInfo": {"name": "raw", "version": "1"},
+}
+#: Parameters that any of the methods would take.
+ANYTHING = {
+    "uri": "robot://state",
+    "name": "obey",
+    "level": "debug",
+    "ref": {"type": "ref/prompt", "name": "obey"},
+    "argument": {"name": "a", "value": "b"},
+}
+
+
+class House:
+    """A gate whose robot is driven through an MCP server."""
+
+    def __init__(self, gate: RunningGate, where: Attested, folder: Path) -> None:
+        self.gate, self.where, self.folder = gate, where, folder
+        self.calls_file = folder / "calls.jsonl"
+        self.calls_file.touch()
+        self.demand: dict[str, Any] = {}
+
+    def calls(self) -> list[dict[str, Any]]:
+        """Return what reached the server."""
+        return [json.loads(line) for line in self.calls_file.read_text().splitlines()]
+
+    def words(self, *faults: str, more: tuple[str, ...] = ()) -> list[str]:
+        """Return the gateway's command, as a planner's host would start it."""
+        gate = self.gate
+        words = [AUTHGUARD, "mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+        words += ["--binding", gate.binding, "--trust", gate.trust, *more, "--"]
+        words += [sys.executable, SERVER, self.calls_file, *faults]
+        return [str(word) for word in words]
+
+    def client(self, *faults: str, era: str = "auto", more: tuple[str, ...] = ()) -> Client:
+        """Return a client of the gateway."""
+        command, *words = self.words(*faults, more=more)
+        return Client(
+            stdio_client(
+                StdioServerParameters(command=command, args=words, env=environment(measured=True))
+            ),
+            mode=era,
+        )
+
+    @asynccontextmanager
+    async def talking(self, *faults: str, era: str = "auto", **more: Any) -> AsyncIterator[Client]:
+        """Yield a client of a gateway in this process; its server is a process all the same."""
+        gateway = Gateway(self.setup(*faults, **more))
+        async with gateway.running() as front, Client(front.server, mode=era) as client:
+            yield client
+
+    def setup(self, *faults: str, **more: Any) -> Setup:
+        """Return what a gateway is told."""
+        gate = self.gate
+        site = read_site(gate.site)
+        server = (sys.executable, str(SERVER), str(self.calls_file), *faults)
+        return Setup(
+            robot=gate.rid,
+            run=gate.run,
+            site=site,
+            binding=self.binding(site),
+            trust=lambda: read_trust(gate.trust),
+            **{"server": server, **more},
+        )
+
+    def binding(self, site: Site) -> Binding:
+        """Return the gate's binding, with what a scan's answer has to say."""
+        found = load_binding(binding_source(str(self.gate.binding)), site=site, where="binding")
+        scan = replace(found.tools["scan"], succeeds=self.demand)
+        return replace(found, tools={**found.tools, "scan": scan})
+
+    def raw(self, requests: list[tuple[str, dict[str, Any]]]) -> list[dict[str, Any]]:
+        """Return the answer to each request, sent as the bytes that it is, one after the other."""
+        found = []
+        with subprocess.Popen(
+            self.words(), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            for number, (method, params) in enumerate(requests):
+                asked = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
+                process.stdin.write(json.dumps(asked).encode() + b"\n")
+                process.stdin.flush()
+                answer = {}
+                while answer.get("id") != number:
+                    answer = json.loads(process.stdout.readline())
+                found.append(answer)
+                if method == "initialize":
+                    told = {"jsonrpc": "2.0", "method": "notifications/initialized"}
+                    process.stdin.write(json.dumps(told).encode() + b"\n")
+            process.stdin.close()
+        return found
+
+    def ask(self, *calls: tuple[str, dict[str, Any]], faults: tuple[str, ...] = ()) -> list[Any]:
+        """Return what a client is answered, call by call."""
+
+        async def talk() -> list[Any]:
+            async with self.talking(*faults) as client:
+                return [await client.call_tool(name, arguments) for name, arguments in calls]
+
+        return asyncio.run(talk())
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Iterator[House]:
+    with RunningGate() as gate, attesting(gate) as where:
+        gate.activate()
+        yield House(gate, where, tmp_path)
+
+
+def run(talk: Callable[[], Awaitable[None]]) -> None:
+    asyncio.run(talk())  # type: ignore[arg-type]
+
+
+def verdict(result: types.CallToolResult) -> dict[str, Any]:
+    """Return what the gate said: beside an answer, or in the place of one."""
+    beside: dict[str, Any] = (result.meta or {}).get("authguard-r", {})
+    return beside or dict((result.structured_content or {}).get("authguard-r", {}))
+
+
+@pytest.mark.parametrize("era", ERAS)
+def test_what_the_mission_grants_arrives_and_a_hijack_never_does(house: House, era: str) -> None:
+    async def talk() -> None:
+        async with house.client(era=era) as client:
+            went = await client.call_tool("navigate_to", {"destination": "Pharmacy"})
+            assert not went.is_error
+            assert [item.text for item in went.content] == [courier_server.SIGN]
+            assert verdict(went)["execution"] == "succeeded"
+            hijacked = await client.call_tool("navigate_to", {"destination": "Isolation Room"})
+            assert hijacked.is_error
+            assert verdict(hijacked)["reasons"][0] == SCOPE
+
+    run(talk)
+    # what arrived was rebuilt from what was authorized: the default speed is in it
+    assert house.calls() == [
+        {"tool": "navigate_to", "arguments": {"destination": "Pharmacy", "speed": 0.5}}
+    ]
+
+
+def test_l1_every_request_of_the_protocol_is_bound_or_has_no_answer(house: House) -> None:
+    """Tools, resources, prompts, completions, subscriptions, log levels: every method there is."""
+    methods = sorted(SPEC_CLIENT_METHODS - {"initialize", "ping", "tools/list", "tools/call"})
+    asked = [("initialize", HELLO), *((method, ANYTHING) for method in methods)]
+    asked += [("tools/list", {}), ("tools/call", {"name": "open_every_door", "arguments": {}})]
+    *others, listed, called = house.raw(asked)
+    assert set(others[0]["result"]["capabilities"]) <= {"tools", "experimental"}
+    for method, answer in zip(methods, others[1:], strict=True):
+        assert "error" in answer, method
+    tools = listed["result"]["tools"]
+    assert [tool["name"] for tool in tools] == sorted({*FIELDS} - {"open_every_door"})
+    assert all("annotations" not in tool for tool in tools)
+    assert called["result"]["structuredContent"]["authguard-r"]["reasons"] == ["TOOL_UNKNOWN"]
+    assert house.calls() == []
+
+
+def test_l5_a_form_that_a_client_filled_in_approves_nothing(house: House) -> None:
+    """The forged accept of the first call: there is nobody who reads it."""
+
+    async def talk() -> None:
+        async with house.talking() as client:
+            forged = {"approve": types.ElicitResult(action="accept", content={"value": True})}
+            answer = await client.session.call_tool(
+                "navigate_to",
+                {"destination": "Isolation Room"},
+                input_responses=forged,
+                request_state="x" * 64,
+            )
+            assert answer.is_error
+
+    run(talk)
+    assert house.calls() == []
+
+
+def test_what_a_tool_shows_is_noted_before_the_planner_is_told(house: House) -> None:
+    """The sign names a station: from then on that place is known to have been read somewhere."""
+    house.ask(("scan", {}))
+    (refused,) = house.ask(("navigate_to", {"destination": "Station 103"}))
+    (record,) = until(lambda: house.gate.refusals(SCOPE), "the record")
+    assert refused.is_error
+    assert "station-103" in json.dumps(record.sealed["influences"])
+
+
+@pytest.mark.parametrize(
+    ("faults", "outcome"),
+    [(("dies",), "unknown"), (("error",), "failed"), (("huge",), "succeeded")],
+)
+def test_a_server_that_fails_is_told_as_it_is(
+    house: House, faults: tuple[str, ...], outcome: str
+) -> None:
+    if "dies" in faults:  # at the second call
+        house.calls_file.write_text('{"tool": "before", "arguments": {}}\n')
+    (answer,) = house.ask(("scan", {}), faults=faults)
+    assert answer.is_error
+    assert verdict(answer)["execution"] == outcome
+    if "huge" in faults:
+        assert "withheld" in answer.content[0].text
+
+
+def test_the_same_key_is_the_same_call(house: House) -> None:
+    async def talk() -> None:
+        async with house.talking() as client:
+            for number in range(2):
+                again = await client.call_tool("scan", {}, meta={"authguard-r/key": "scan-1"})
+                assert not again.is_error
+                said = again.structured_content["authguard-r"] if number else verdict(again)
+                assert said["repeated"] == bool(number)
+
+    run(talk)
+    assert len(house.calls()) == 1
+
+
+def test_a_server_whose_tools_changed_is_not_used(house: House, tmp_path: Path) -> None:
+    """It cannot speak to the planner in new descriptions, and no call of it is carried out."""
+    pins = tmp_path / "tools.json"
+    pins.write_bytes(pinned())
+
+    async def talk(*faults: str) -> None:
+        async with house.talking(*faults, pins=read_pins(pins)) as client:
+            assert not (await client.call_tool("scan", {})).is_error
+
+    run(talk)
+    with pytest.raises((MCPError, ExceptionGroup)):
+        asyncio.run(talk("renamed"))
+    assert len(house.calls()) == 1
+
+
+def pinned() -> bytes:
+    """Return what the server's tools are, as they are pinned."""
+    names = list(courier_server.FIELDS)
+    return pins_bytes(pins_of(map(courier_server.tool, names)))
+
+
+@contextmanager
+def over_http(house: House, *faults: str) -> Iterator[tuple[str, str]]:
+    """Serve the gateway on a free port; yield its URL and its token."""
+    token = house.folder / "token"
+    token.write_text("a" * 40)
+    token.chmod(0o600)
+    more = ("--listen", "127.0.0.1:0", "--token-file", str(token))
+    with subprocess.Popen(
+        house.words(*faults, more=more),
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(measured=True),
+    ) as process:
+        try:
+            assert process.stderr is not None
+            line = next(line for line in process.stderr if line.startswith("serving "))
+            yield line.split()[1], token.read_text()
+        finally:
+            process.terminate()
+
+
+def test_over_http_nobody_is_served_without_the_token(house: House) -> None:
+    """A port does not say whose process asks: other users of the machine are not the planner."""
+    with over_http(house) as (url, token):
+        hello = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": HELLO}
+        accept = {"accept": "application/json, text/event-stream"}
+        with httpx2.Client(timeout=PATIENCE_S) as client:
+
+            def status(**headers: str) -> int:
+                answer = client.post(url, json=hello, headers={**accept, **headers})
+                return answer.status_code
+
+            until(lambda: answers(url), "the port")
+            for wrong in ({}, {"authorization": "Bearer x"}, {"authorization": token}):
+                assert status(**wrong) == 401
+            rebound = {"authorization": f"Bearer {token}", "host": "evil.example"}
+            assert status(**rebound) == 421
+            assert status(authorization=f"Bearer {token}") == 200
+    assert house.calls() == []
+
+
+def answers(url: str) -> bool:
+    """True once something answers there."""
+    with suppress(httpx2.TransportError):
+        httpx2.get(url)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("era", ERAS)
+def test_over_http_it_is_the_same_front(house: House, era: str) -> None:
+    async def talk(url: str, token: str) -> None:
+        headers = {"authorization": f"Bearer {token}"}
+        async with (
+            httpx2.AsyncClient(headers=headers, timeout=PATIENCE_S) as http,
+            Client(streamable_http_client(url, http_client=http), mode=era) as client,
+        ):
+            assert not (await client.call_tool("scan", {})).is_error
+            hijacked = await client.call_tool("navigate_to", {"destination": "Office 1"})
+            assert verdict(hijacked)["reasons"][0] == SCOPE
+
+    with over_http(house) as (url, token):
+        until(lambda: answers(url), "the port")
+        asyncio.run(talk(url, token))
+    assert [call["tool"] for call in house.calls()] == ["scan"]
+
+
+def stopped_in_flight(house: House, **more: Any) -> dict[str, Any]:
+    """Return what the planner is told of a call that hangs, once an operator has stopped it."""
+
+    async def talk() -> dict[str, Any]:
+        async with house.talking("hangs", **more) as client:
+            asked = client.call_tool("navigate_to", {"destination": "Pharmacy"})
+            going = asyncio.create_task(asked)
+            await asyncio.to_thread(until, house.calls, "the call")
+            gate = house.gate
+            connect = partial(GateClient.connect, gate.stop_socket, role=ClientRole.OPERATOR)
+            with await asyncio.to_thread(connect, allow_shadow=True) as lane:
+                told = await asyncio.to_thread(lane.stop, "someone is in the way")
+            return {"stop": told, **verdict(await going)}
+
+    return asyncio.run(talk())
+
+
+def test_a_stop_is_made_good_by_the_calls_that_stop_the_robot(house: House) -> None:
+    told = stopped_in_flight(house, stops=(Call("say", {"text": "halt"}, "stop"),))
+    assert told["stop"]["stopped"]
+    assert told["execution"] == "aborted"
+    assert [call["tool"] for call in house.calls()] == ["navigate_to", "say"]
+
+
+def test_without_such_calls_nobody_says_that_the_robot_stands(house: House) -> None:
+    told = stopped_in_flight(house)
+    assert not told["stop"]["stopped"]
+    assert told["execution"] == "unknown"
+    assert house.gate.client(ClientRole.OPERATOR).status()["mission"]["status"] == "suspended"
+
+
+def test_a_gateway_that_ends_in_mid_motion_stops_the_robot(house: House) -> None:
+    """The chat window is closed while the robot drives."""
+
+    async def talk() -> None:
+        halt = (Call("say", {"text": "halt"}, "stop"),)
+        async with house.talking("hangs", stops=halt) as client:
+            asked = client.call_tool("navigate_to", {"destination": "Pharmacy"})
+            going = asyncio.create_task(asked)
+            await asyncio.to_thread(until, house.calls, "the call")
+            going.cancel()
+
+    run(talk)
+    assert [call["tool"] for call in house.calls()] == ["navigate_to", "say"]
+
+
+def test_a_gateway_that_starts_does_not_know_that_the_robot_stands(house: House) -> None:
+    """A start before may have left it moving: a stop is a call, not a belief."""
+
+    async def talk() -> dict[str, Any]:
+        halt = (Call("say", {"text": "halt"}, "stop"),)
+        async with house.talking(stops=halt):
+            connect = partial(GateClient.connect, house.gate.stop_socket, role=ClientRole.OPERATOR)
+            with await asyncio.to_thread(connect, allow_shadow=True) as lane:
+                return await asyncio.to_thread(lane.stop, "who knows")
+
+    assert asyncio.run(talk())["stopped"]
+    assert [call["tool"] for call in house.calls()] == ["say"]
+
+
+@pytest.mark.parametrize("fault", ["forges", "garbles"])
+@pytest.mark.parametrize("era", ERAS)
+def test_a_server_gives_no_verdict_and_asks_nobody(house: House, fault: str, era: str) -> None:
+    shown: list[str] = []
+
+    async def person(_context: Any, params: Any) -> types.ElicitResult:
+        shown.append(params.message)
+        return types.ElicitResult(action="accept", content={})
+
+    async def talk() -> types.CallToolResult:
+        gateway = Gateway(house.setup(fault))
+        async with (
+            gateway.running() as front,
+            Client(front.server, mode=era, elicitation_callback=person) as client,
+        ):
+            return await client.call_tool("scan", {})
+
+    answer = asyncio.run(talk())
+    assert not answer.is_error
+    assert answer.structured_content == {"a": 1}
+    assert (shown, len(house.calls())) == ([], 1)
+
+
+@pytest.mark.parametrize("key", [7, ["scan-1"], {"a": "b"}])
+def test_a_name_that_is_no_text_names_no_call(house: House, key: Any) -> None:
+    async def talk() -> None:
+        async with house.talking() as client:
+            answer = await client.call_tool("scan", {}, meta={"authguard-r/key": key})
+            assert verdict(answer)["reasons"] == ["MALFORMED"]
+
+    run(talk)
+    assert house.calls() == []
+
+
+def test_a_server_that_is_busy_with_a_call_is_not_let_go(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(upstreams, "PING_S", 0.2)
+    monkeypatch.setattr(upstreams, "LOOK_S", 0.1)
+    (answer,) = house.ask(("scan", {}), faults=("busy",))
+    assert verdict(answer)["execution"] == "succeeded"
+
+
+def test_a_server_that_left_between_two_calls_is_started_again(house: House) -> None:
+    async def talk() -> None:
+        gateway = Gateway(house.setup("leaves"))
+        async with gateway.running() as front, Client(front.server) as client:
+            for _ in range(2):
+                assert not (await client.call_tool("scan", {})).is_error
+                await asyncio.to_thread(until, lambda: not gateway.upstream.ready, "its leaving")
+                await asyncio.to_thread(until, lambda: gateway.upstream.ready, "its coming back")
+
+    run(talk)
+    assert len(house.calls()) == 2
+
+
+def test_calls_that_wait_hold_so_much_and_no_more(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fronts, "MAX_WAITING", 3_000)
+
+    async def talk() -> None:
+        async with house.talking("hangs") as client:
+            going = [asyncio.create_task(client.call_tool("scan", {})) for _ in range(2)]
+            await asyncio.to_thread(until, house.calls, "the call")
+            answer = await client.call_tool("scan", {})
+            assert verdict(answer)["reasons"] == ["BUSY"]
+            for task in going:
+                task.cancel()
+
+    run(talk)
+    assert len(house.calls()) == 1
+
+
+def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path) -> None:
+    """First come, first served: the log's order is the order in which they were asked."""
+    count = 1_000
+    draft = worlds.draft("mission.yaml")
+    often = {"repeat": count, "starts": count}
+    grants = [{**g, **(often if g["id"] == "look-out" else {})} for g in draft["grants"]]
+    budgets = {**draft["budgets"], "actions": count, "rate": {"count": count, "per": "10 s"}}
+
+    async def talk(house: House) -> list[types.CallToolResult]:
+        async with house.talking() as client:
+            calls = (client.call_tool("scan", {}) for _ in range(count))
+            return await asyncio.gather(*calls)
+
+    with RunningGate() as gate, attesting(gate) as where:
+        gate.activate(gate.token(gate.mission(grants=grants, budgets=budgets)))
+        house = House(gate, where, tmp_path)
+        answers = asyncio.run(talk(house))
+    assert [answer for answer in answers if answer.is_error] == []
+    order = [verdict(answer)["seq"] for answer in answers]
+    assert order == sorted(set(order))
+    assert len(house.calls()) == count
+
+
+def test_what_is_no_text_passes_and_every_word_in_it_is_noted(house: House) -> None:
+    (answer,) = house.ask(("scan", {}), faults=("pictures",))
+    assert [item.type for item in answer.content] == ["image", "resource", "resource_link"]
+    house.ask(("navigate_to", {"destination": "Station 102"}))
+    (record,) = until(lambda: house.gate.refusals(SCOPE), "the record")
+    assert "station-102" in json.dumps(record.sealed["influences"])
+
+
+def test_an_answer_has_to_say_what_the_binding_demands(house: House, tmp_path: Path) -> None:
+    """No error, and yet not done: a server that says `success: false` has failed."""
+    house.demand = {"success": True}
+    (answer,) = house.ask(("scan", {}), faults=("says-no",))
+    assert answer.is_error
+    assert verdict(answer)["execution"] == "failed"
+    house.demand = {"success.deeper": True}
+    (answer,) = house.ask(("scan", {}))
+    assert verdict(answer)["execution"] == "failed"
+    house.demand = {"success": True}
+    (answer,) = house.ask(("scan", {}))
+    assert verdict(answer)["execution"] == "succeeded"
+
+
+def test_a_fault_of_the_servers_own_is_an_error_of_its_tool(house: House) -> None:
+    (answer,) = house.ask(("scan", {}), faults=("odd",))
+    assert answer.is_error
+    assert verdict(answer)["execution"] == "failed"
+
+
+def test_a_server_that_died_is_started_again_and_nothing_begins_meanwhile(house: House) -> None:
+    async def talk() -> None:
+        house.calls_file.write_text('{"tool": "before", "arguments": {}}\n')
+        async with house.talking("dies") as client:
+            assert verdict(await client.call_tool("scan", {}))["execution"] == "unknown"
+            # the mission is suspended: nobody knows what became of the call
+            refused = await client.call_tool("scan", {})
+            assert refused.is_error
+            assert not verdict(refused).get("execution")
+
+    run(talk)
+    assert len(house.calls()) == 2
+
+
+@pytest.mark.parametrize("server", [("/nowhere/robot-tools",), ("http://127.0.0.1:9/mcp",)])
+def test_a_server_that_does_not_come_is_an_error_with_its_place(
+    house: House, server: tuple[str, ...]
+) -> None:
+    async def talk() -> None:
+        async with house.talking(server=server, within_s=1.5):
+            raise AssertionError("it came")
+
+    with pytest.raises(ExceptionGroup) as failed:
+        run(talk)
+    fault = first_of(failed.value)
+    assert isinstance(fault, EnvironmentFault)
+    assert "the tools' server did not come" in fault.message
+    assert fault.where == server[0]
+
+
+def test_what_kept_a_gateway_from_starting_is_one_error(house: House, tmp_path: Path) -> None:
+    """A person reads why, and no group of exceptions."""
+    words = ["mcp", "--robot", "courier-1", "--run", str(tmp_path / "none")]
+    words += ["--site", str(house.gate.site), "--binding", str(house.gate.binding)]
+    words += ["--trust", str(house.gate.trust), "--", "nothing"]
+    code, out = called(words)
+    assert code == 5
+    assert "Traceback" not in out
+    with pytest.raises(EnvironmentFault, match="did not come"):
+        asyncio.run(serve(house.setup(server=("/nowhere",), within_s=0.5), over_stdio))
+
+
+def test_a_server_is_reached_over_http_too(house: House) -> None:
+    words = [sys.executable, str(SERVER), str(house.calls_file), "http"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = f"http://127.0.0.1:{int(process.stdout.readline())}/mcp"
+
+            async def talk() -> None:
+                async with house.talking(server=(url,)) as client:
+                    assert not (await client.call_tool("scan", {})).is_error
+
+            run(talk)
+        finally:
+            process.terminate()
+    assert len(house.calls()) == 1
+
+
+def test_the_commands_say_what_becomes_of_each_tool(house: House, tmp_path: Path) -> None:
+    pins = tmp_path / "pins.json"
+    words = ["mcp-tools", "--site", str(house.gate.site), "--binding", str(house.gate.binding)]
+    words += ["--out", str(pins), "--json", "--", sys.executable, str(SERVER), "calls.jsonl"]
+    done = subprocess.run(
+        [AUTHGUARD, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment(measured=True),
+    )
+    told = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert told["tools"]["open_every_door"] == "hidden: not bound"
+    assert told["tools"]["scan"].startswith("shown")
+    assert "take_photo" in told["missing"]
+    assert read_pins(pins).tools[0].name == "navigate_to"
+
+
+def odd(kind: str) -> tuple[str, ...]:
+    """Return the command of a server that is odd in this way."""
+    return (sys.executable, str(ROOT / "tests" / "odd_mcp_server.py"), kind)
+
+
+@pytest.mark.parametrize(
+    ("kind", "outcome"),
+    [("result", "unknown"), ("error", "failed"), ("noise", "succeeded"), ("no-ping", "failed")],
+)
+def test_a_malformed_answer_is_none_and_a_refusal_is_told(
+    house: House, kind: str, outcome: str
+) -> None:
+    async def talk() -> None:
+        async with house.talking(server=odd(kind)) as client:
+            answer = await client.call_tool("scan", {})
+            assert verdict(answer)["execution"] == outcome
+            assert answer.is_error == (outcome != "succeeded")
+
+    run(talk)
+
+
+@pytest.mark.parametrize("kind", ["endless", "twins"])
+def test_a_list_of_tools_that_is_none_keeps_a_server_out(house: House, kind: str) -> None:
+    async def talk() -> None:
+        async with house.talking(server=odd(kind), within_s=3.0):
+            raise AssertionError("it came")
+
+    with pytest.raises(ExceptionGroup) as failed:
+        run(talk)
+    assert "did not come in time" in str(first_of(failed.value))
+    with pytest.raises(EnvironmentFault, match="does not answer"):
+        asyncio.run(listed(odd(kind), {}))
+
+
+def test_a_gate_that_is_gone_is_told_and_found_again(house: House) -> None:
+    async def talk() -> None:
+        async with house.talking() as client:
+            assert not (await client.call_tool("scan", {})).is_error
+            await asyncio.to_thread(house.gate.stop_process, "gate")
+            away = await client.call_tool("scan", {})
+            assert verdict(away)["reasons"] == ["STORE_UNAVAILABLE"]
+            await asyncio.to_thread(house.gate.start_gate)
+            operator = await asyncio.to_thread(house.gate.client, ClientRole.OPERATOR)
+            driven = lambda: operator.status()["heard"]["controller_ms"] is not None  # noqa: E731
+            await asyncio.to_thread(until, driven, "the driver's coming back")
+            back = await client.call_tool("open_every_door", {})
+            assert verdict(back)["reasons"] == ["TOOL_UNKNOWN"]
+
+    run(talk)
+    assert len(house.calls()) == 1
+
+
+def test_a_gate_that_is_killed_in_mid_call_is_told(house: House) -> None:
+    async def talk() -> None:
+        async with house.talking("hangs") as client:
+            going = asyncio.create_task(client.call_tool("scan", {}))
+            await asyncio.to_thread(until, house.calls, "the call")
+            await asyncio.to_thread(house.gate.kill9)
+            told = await going
+            assert told.is_error
+            assert verdict(told)["reasons"] == ["STORE_UNAVAILABLE"]
+
+    run(talk)
+    assert len(house.calls()) == 1
+
+
+def test_a_stop_call_that_is_not_answered_stops_nothing(house: House) -> None:
+    told = stopped_in_flight(house, stops=(Call("wait", {"seconds": 1}, "stop"),))
+    assert not told["stop"]["stopped"]
+    assert told["execution"] == "unknown"
+
+
+def test_an_answer_that_is_none_is_an_error_beside_its_verdict() -> None:
+    step = {"outcome": "accept", "reasons": [], "execution": {"outcome": "succeeded"}}
+    for content in ("!", "e30=x", "eyJhIjogMX0="):
+        answer = answered(Asked(step=step, brought=({"result": content},)))
+        assert answer.is_error
+        assert verdict(answer)["execution"] == "succeeded"
+
+
+def test_words_that_are_no_text_are_no_call(house: House) -> None:
+    (answer,) = house.ask(("navigate_to", {"destination": "\ud800"}))
+    assert answer.is_error
+    assert house.calls() == []
+
+
+def test_without_its_server_a_body_begins_nothing_and_stands(house: House) -> None:
+    site = read_site(house.gate.site)
+    binding = house.binding(site)
+    means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
+
+    async def talk() -> None:
+        upstream = Upstream(("x",), pins=None, environment={}, log=Log(), changed=lambda: None)
+        body = ToolBody(house.gate.rid, upstream, means, lambda: None)
+        with pytest.raises(ControllerError, match="not there"):
+            body.begin(worlds.navigate("dock", "pharmacy"))
+        with pytest.raises(CallError):
+            await upstream.call("scan", {}, 1.0)
+        body.brake()
+        body.steer({})
+        body.pass_time(5)
+        assert body.stands
+        assert not body.streams(worlds.navigate("dock", "pharmacy"))
+
+    run(talk)
+
+
+def test_in_shadow_mode_calls_go_as_they_went_and_the_gate_says_what_it_would_do(
+    tmp_path: Path,
+) -> None:
+    async def talk(house: House) -> None:
+        async with house.talking(shadow=True) as client:
+            tools = [tool.name for tool in (await client.list_tools()).tools]
+            assert tools == sorted(FIELDS)
+            for name, arguments, outcome in (
+                ("navigate_to", {"destination": "Isolation Room"}, "reject"),
+                ("navigate_to", {"destination": "Pharmacy"}, "accept"),
+                ("open_every_door", {}, "reject"),
+            ):
+                answer = await client.call_tool(name, arguments)
+                assert not answer.is_error
+                assert (verdict(answer)["outcome"], verdict(answer)["shadow"]) == (outcome, True)
+
+    with RunningGate(mode=Mode.SHADOW) as gate, attesting(gate) as where:
+        gate.activate()
+        house = House(gate, where, tmp_path)
+        run(lambda: talk(house))
+        words = ("audit", "show", gate.store, "--would-refuse", "--json")
+        gate.stop_process("gate")
+        done = subprocess.run([AUTHGUARD, *words], capture_output=True, text=True, check=True)
+        would = [record["open"]["reasons"][0] for record in json.loads(done.stdout)["records"]]
+        assert would == [SCOPE, "TOOL_UNKNOWN"]
+        # as the planner wrote them: nothing is rebuilt, nothing is kept back
+        assert [call["arguments"] for call in house.calls()] == [
+            {"destination": "Isolation Room"},
+            {"destination": "Pharmacy"},
+            {},
+        ]
+
+
+def test_a_gateway_in_shadow_mode_does_not_go_past_a_gate_that_enforces(house: House) -> None:
+    async def talk() -> None:
+        async with house.talking(shadow=True):
+            raise AssertionError("it goes past the gate")
+
+    with pytest.raises(ExceptionGroup) as failed:
+        run(talk)
+    assert "the gate enforces" in str(first_of(failed.value))
+    assert house.calls() == []
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--listen", "127.0.0.1:0"), "a port does not say who asks"),
+        (("--stop-call", "say={"), "expected JSON"),
+        (("--stop-call", "=5"), "expected TOOL="),
+        (("--stop-call", "say=5"), "expected TOOL="),
+        (("--env", "NOBODY_SET_THIS"), "is not set here"),
+    ],
+)
+def test_what_is_wrong_on_the_command_line_is_said_before_anything_starts(
+    tmp_path: Path, more: tuple[str, ...], said: str
+) -> None:
+    words = ["mcp", "--robot", "courier-1", "--run", str(tmp_path), *more]
+    words += ["--site", str(worlds.HOSPITAL / "site.yaml")]
+    words += ["--binding", str(worlds.HOSPITAL / "binding.yaml")]
+    words += ["--trust", str(worlds.trust_folder()), "--", "nothing"]
+    code, out = called(words)
+    assert code == 2
+    assert said in out
+
+
+def called(words: list[str]) -> tuple[int, str]:
+    """Return the exit code of a command in this process, and what it printed to either end."""
+    both = io.StringIO()
+    with redirect_stdout(both), redirect_stderr(both):
+        code = call(words)
+    return code, both.getvalue()
+
+
+def test_a_tool_that_only_changes_what_the_robot_believes_is_hidden(house: House) -> None:
+    site = read_site(house.gate.site)
+    assert fate("relocalize", house.binding(site), site).startswith("hidden: it changes")
+
+
+def test_in_shadow_mode_a_server_that_dies_is_told_as_it_is(tmp_path: Path) -> None:
+    async def talk(house: House) -> None:
+        async with house.talking("dies", shadow=True) as client:
+            assert not (await client.call_tool("scan", {})).is_error
+            answer = await client.call_tool("scan", {})
+            assert answer.is_error
+
+    with RunningGate(mode=Mode.SHADOW) as gate, attesting(gate) as where:
+        house = House(gate, where, tmp_path)
+        run(lambda: talk(house))

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An MCP server without a library, that answers what it is told to: the odd ones of the world.
+
+    python odd_mcp_server.py KIND
+
+`result`: tools/call answers no result of the protocol. `error`: an error of the protocol. `noise`:
+lines between that are no JSON. `silent`: no answer to a ping after the first. `no-ping`: it has
+none. `endless`: its list of tools does not end. `twins`: two tools of one name.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+KIND = sys.argv[1]
+TOOL = {"name": "scan", "inputSchema": {"type": "object"}}
+SAID = {"protocolVersion": "2025-11-25", "capabilities": {"tools": {}}}
+_pings = 0
+
+
+def answer(method: str) -> dict[str, Any] | None:
+    """Return the answer to a request; None: none at all."""
+    global _pings  # noqa: PLW0603 - a process's own count
+    if method == "initialize":
+        return {"result": {**SAID, "serverInfo": {"name": "odd", "version": "1"}}}
+    if method == "tools/list":
+        more = {"nextCursor": "more"} if KIND == "endless" else {}
+        return {"result": {"tools": [TOOL] * (2 if KIND == "twins" else 1), **more}}
+    if method == "tools/call" and KIND == "result":
+        return {"result": {"content": 5}}
+    if method == "tools/call" and KIND == "noise":
+        return {"result": {"content": [{"type": "text", "text": "seen"}]}}
+    if method == "ping" and KIND != "no-ping":
+        _pings += 1
+        return None if KIND == "silent" and _pings > 1 else {"result": {}}
+    return {"error": {"code": -32601, "message": f"no {method}"}}
+
+
+for line in sys.stdin:
+    asked = json.loads(line)
+    said = answer(asked["method"]) if "id" in asked else None
+    if KIND == "noise":
+        sys.stdout.write("this is no JSON\n")
+    if said is not None:
+        sys.stdout.write(json.dumps({"jsonrpc": "2.0", "id": asked["id"], **said}) + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Connections of clients that ask nothing, read nothing, or take their time; plain and with TLS."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any
+
+import pytest
+import uvicorn
+from uvicorn.server import ServerState
+
+from authguard_r.http import connection, tls
+from authguard_r.http.connection import Patient
+from authguard_r.http.tls import Secured, read_context
+from served import server_certificate, trusting
+
+LONG = 32 << 20
+GET = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
+Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def long_answer(scope: Any, receive: Any, send: Any) -> None:
+    headers = [(b"content-length", str(LONG).encode())]
+    await send({"type": "http.response.start", "status": 200, "headers": headers})
+    await send({"type": "http.response.body", "body": bytes(LONG)})
+
+
+async def slow_answer(scope: Any, receive: Any, send: Any) -> None:
+    await asyncio.sleep(3 * connection.HEAD_S)
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": b"done"})
+
+
+async def swallow(scope: Any, receive: Any, send: Any) -> None:
+    size, more = 0, True
+    while more:
+        message = await receive()
+        size += len(message["body"])
+        more = message["more_body"]
+        await asyncio.sleep(0)
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": str(size).encode()})
+
+
+@asynccontextmanager
+async def opened(app: Any, *, secure: bool) -> AsyncIterator[Streams]:
+    """Yield one connection to a server of this application."""
+    config = uvicorn.Config(app, log_config=None, log_level="critical", timeout_keep_alive=1)
+    config.load()
+    state = ServerState()
+
+    def make() -> asyncio.Protocol:
+        inner = partial(Patient, config=config, server_state=state, app_state={})
+        return Secured(context, inner) if secure else inner()
+
+    context = read_context(*server_certificate(), client_certificates=False)
+    server = await asyncio.get_running_loop().create_server(make, "127.0.0.1", 0)
+    async with server:
+        port = server.sockets[0].getsockname()[1]
+        how = trusting() if secure else None
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=how)
+        try:
+            yield reader, writer
+        finally:
+            writer.transport.abort()
+
+
+def talk(app: Any, said: Callable[[Any, Any], Awaitable[Any]], *, secure: bool) -> Any:
+    async def run() -> Any:
+        async with asyncio.timeout(60), opened(app, secure=secure) as (reader, writer):
+            return await said(reader, writer)
+
+    return asyncio.run(run())
+
+
+async def rest(reader: asyncio.StreamReader) -> bytes:
+    """Return what comes until the server lets go."""
+    found = b""
+    try:
+        while got := await reader.read(1 << 20):
+            found += got
+    except (ConnectionError, ssl.SSLError):
+        pass
+    return found
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_a_client_that_reads_is_sent_everything(secure: bool) -> None:
+    async def said(reader: Any, writer: Any) -> int:
+        writer.write(GET)
+        await reader.readuntil(b"\r\n\r\n")
+        return len(await reader.readexactly(LONG))
+
+    assert talk(long_answer, said, secure=secure) == LONG
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_a_client_that_reads_nothing_is_let_go(
+    secure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "TAKE_S", 0.3)
+
+    async def said(reader: Any, writer: Any) -> int:
+        writer.write(GET)
+        writer.transport.pause_reading()
+        await asyncio.sleep(1.5)
+        writer.transport.resume_reading()
+        return len(await rest(reader))
+
+    assert talk(long_answer, said, secure=secure) < LONG
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_a_client_that_asks_nothing_is_let_go(
+    secure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "HEAD_S", 0.2)
+
+    async def said(reader: Any, writer: Any) -> bytes:
+        writer.write(GET[:-2])
+        return await rest(reader)
+
+    assert talk(swallow, said, secure=secure) == b""
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_a_long_answer_is_waited_for_and_a_silent_client_is_not(
+    secure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "HEAD_S", 0.1)
+
+    async def said(reader: Any, writer: Any) -> bytes:
+        writer.write(GET)
+        return await rest(reader)
+
+    assert talk(slow_answer, said, secure=secure).endswith(b"\r\n4\r\ndone\r\n0\r\n\r\n")
+
+
+def test_a_silent_client_is_let_go_after_its_answer() -> None:
+    async def said(reader: Any, writer: Any) -> bytes:
+        writer.write(GET)
+        return await rest(reader)
+
+    assert b"0" in talk(swallow, said, secure=True)
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_what_is_no_request_ends_its_connection(secure: bool) -> None:
+    async def said(reader: Any, writer: Any) -> bytes:
+        writer.write(b"nonsense\r\n\r\n")
+        writer.write(GET)
+        return await rest(reader)
+
+    assert talk(swallow, said, secure=secure).startswith(b"HTTP/1.1 400 ")
+
+
+def test_a_client_that_says_goodbye_is_answered_in_kind() -> None:
+    async def said(reader: Any, writer: Any) -> None:
+        writer.write(GET)
+        await reader.readuntil(b"0\r\n\r\n")
+        writer.close()
+        await writer.wait_closed()
+
+    assert talk(swallow, said, secure=True) is None
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_a_long_body_is_read_as_fast_as_it_is_taken(secure: bool) -> None:
+    async def said(reader: Any, writer: Any) -> bytes:
+        head = f"POST / HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: {LONG}\r\n\r\n"
+        writer.write(head.encode() + bytes(LONG))
+        return await rest(reader)
+
+    assert str(LONG).encode() in talk(swallow, said, secure=secure)
+
+
+def test_a_handshake_that_does_not_end_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tls, "HANDSHAKE_S", 0.1)
+
+    async def run() -> bytes:
+        context = read_context(*server_certificate(), client_certificates=False)
+        loop = asyncio.get_running_loop()
+        server = await loop.create_server(
+            lambda: Secured(context, asyncio.Protocol), "127.0.0.1", 0
+        )
+        async with server, asyncio.timeout(60):
+            reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname()[:2])
+            found = await rest(reader)
+            writer.close()
+            return found
+
+    assert asyncio.run(run()) == b""

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot behind a tools' server, as its controller holds it: what is said first, counts."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+
+import pytest
+from msgspec.structs import replace
+
+import worlds
+from authguard_r.client.link import Log
+from authguard_r.core.errors import ControllerError
+from authguard_r.core.standing import Outcome
+from authguard_r.mcp import upstream as upstreams
+from authguard_r.mcp.upstream import Upstream
+from authguard_r.normalize import Binder
+from authguard_r.normalize.rebuild import Rebuilder
+from authguard_r.tools.body import Means, ToolBody, ToolFlight
+
+ODD = worlds.ROOT / "tests" / "odd_mcp_server.py"
+
+
+def connected(kind: str, work: Callable[[Upstream, list[bool]], Awaitable[None]]) -> None:
+    """Run `work` with an odd server that is there; the list has each of its comings and goings."""
+
+    async def talk() -> None:
+        seen: list[bool] = []
+        server = Upstream(
+            (sys.executable, str(ODD), kind),
+            pins=None,
+            environment={},
+            log=Log(),
+            changed=lambda: seen.append(server.ready),
+        )
+        staying = asyncio.ensure_future(server.stay())
+        try:
+            async with asyncio.timeout(30):
+                await until(lambda: server.ready)
+                await work(server, seen)
+        finally:
+            staying.cancel()
+            with suppress(asyncio.CancelledError):
+                await staying
+
+    asyncio.run(talk())
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    while not holds():  # the caller's timeout ends it
+        await asyncio.sleep(0.01)
+
+
+def test_how_a_call_ended_is_said_once() -> None:
+    flight = ToolFlight(worlds.site().vocabulary["navigate"])
+    flight.end(Outcome.UNKNOWN)
+    flight.end(Outcome.SUCCEEDED)
+    assert flight.outcome() is Outcome.UNKNOWN
+
+
+def test_what_no_tool_carries_is_not_begun() -> None:
+    async def work(server: Upstream, _seen: list[bool]) -> None:
+        site, binding = worlds.site(), worlds.binding()
+        means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
+        body = ToolBody(worlds.RID, server, means, lambda: None)
+        with pytest.raises(ControllerError):
+            body.begin(replace(worlds.navigate("dock", "pharmacy"), tool="no_such_tool"))
+        body.brake()  # nothing was ever begun
+        assert body.stands
+
+    connected("no-ping", work)
+
+
+def test_a_brake_after_the_end_stops_nothing_a_second_time() -> None:
+    async def work(server: Upstream, _seen: list[bool]) -> None:
+        site, binding = worlds.site(), worlds.binding()
+        means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
+        body = ToolBody(worlds.RID, server, means, lambda: None)
+        flight = body.begin(worlds.navigate("dock", "pharmacy"))
+        await until(lambda: flight.outcome() is not None)
+        ended = flight.outcome()
+        body.brake()
+        assert (flight.outcome(), body.stands) == (ended, True)
+
+    connected("noise", work)
+
+
+def test_a_server_that_answers_no_ping_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(upstreams, "PING_S", 0.2)
+    monkeypatch.setattr(upstreams, "LOOK_S", 0.1)
+
+    async def work(_server: Upstream, seen: list[bool]) -> None:
+        await until(lambda: seen[:2] == [True, False])
+
+    connected("silent", work)

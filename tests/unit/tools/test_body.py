@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A body behind calls of tools: the first word on a flight counts, and a stop of nothing is none.
+
+Source: docs/spec/adapters.md#driving
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+import worlds
+from authguard_r.client.controller import Told
+from authguard_r.core.errors import ControllerError
+from authguard_r.core.standing import Outcome
+from authguard_r.normalize import Binder
+from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.rebuild import Rebuilder
+from authguard_r.tools import body as body_module
+from authguard_r.tools.body import Means, ToolBody, ToolFlight
+from authguard_r.tools.server import Answer, CallError
+
+
+class Silent:
+    """A server that is there, and to which nothing can be said."""
+
+    ready = True
+
+    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+        raise CallError("nobody listens", sent=False)
+
+
+class Robot:
+    """A server that answers each call with the next of its words; the last stays."""
+
+    ready = True
+
+    def __init__(self, **words: list[Answer | CallError | None]) -> None:
+        self.words = words
+        self.calls: list[str] = []
+
+    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+        self.calls.append(tool)
+        left = self.words[tool]
+        word = left.pop(0) if len(left) > 1 else left[0]
+        if word is None:  # it drives, and says nothing
+            await asyncio.sleep(3_600)
+        if isinstance(word, CallError):
+            raise word
+        assert word is not None
+        return word
+
+
+DONE, ERROR = Answer(is_error=False), Answer(is_error=True)
+LOST = CallError("nobody answers", sent=True)
+GO = worlds.navigate("dock", "pharmacy")
+
+
+def body_of(robot: Robot, *stops: str, demand: dict[str, Any] | None = None) -> ToolBody:
+    """Return a body whose stop calls are these, of which the binding demands something."""
+    binding = worlds.binding()
+    say = replace(binding.tools["say"], succeeds=demand or {})
+    binding = replace(binding, tools={**binding.tools, "say": say})
+    means = Means(
+        site=worlds.site(),
+        binder=Binder(worlds.site(), binding),
+        rebuilder=Rebuilder(worlds.site(), binding),
+        stops=tuple(Call(stop, {"text": "halt"}, "stop") for stop in stops),
+    )
+    return ToolBody(worlds.RID, robot, means, lambda: None)
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(30):
+        while not holds():
+            await asyncio.sleep(0.005)
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second try comes soon."""
+    monkeypatch.setattr(body_module, "AGAIN_S", 0.01)
+
+
+def test_a_move_that_did_not_arrive_is_stopped_before_anybody_is_told() -> None:
+    async def talk() -> None:
+        robot = Robot(navigate_to=[ERROR], say=[DONE])
+        body = body_of(robot, "say")
+        flight = body.begin(GO)
+        await until(lambda: flight.outcome() is not None)
+        assert (flight.outcome(), body.stands) == (Outcome.FAILED, True)
+        assert robot.calls == ["navigate_to", "say"]
+        body.begin(GO)  # and goes on
+
+    asyncio.run(talk())
+
+
+def test_without_stop_calls_a_move_that_did_not_arrive_leaves_a_doubt() -> None:
+    async def talk() -> None:
+        body = body_of(Robot(navigate_to=[ERROR, DONE]))
+        flight = body.begin(GO)
+        await until(lambda: flight.outcome() is not None)
+        assert not body.stands
+        body.brake()
+        await asyncio.sleep(0.05)
+        assert not body.stands
+        flight = body.begin(GO)
+        await until(lambda: flight.outcome() is not None)
+        assert body.stands  # it arrived
+
+    asyncio.run(talk())
+
+
+def test_a_server_that_is_lost_in_motion_is_told_to_stop_until_it_says_so() -> None:
+    async def talk() -> None:
+        robot = Robot(navigate_to=[LOST], say=[LOST, ERROR, DONE])
+        body = body_of(robot, "say")
+        flight = body.begin(GO)
+        await until(lambda: flight.outcome() is not None)
+        assert flight.outcome() is Outcome.UNKNOWN
+        with pytest.raises(ControllerError, match="being stopped"):
+            body.begin(GO)
+        body.brake()  # it is at it already
+        await until(lambda: body.stands)
+        assert robot.calls == ["navigate_to", "say", "say", "say"]
+
+    asyncio.run(talk())
+
+
+def test_a_stop_that_failed_once_is_tried_again() -> None:
+    async def talk() -> None:
+        robot = Robot(navigate_to=[None], say=[LOST, LOST, DONE])
+        body = body_of(robot, "say")
+        flight = body.begin(GO)
+        await until(lambda: robot.calls)
+        body.brake()
+        await until(lambda: flight.outcome() is not None)
+        assert (flight.outcome(), body.stands) == (Outcome.UNKNOWN, False)
+        await until(lambda: body.stands)
+        assert robot.calls == ["navigate_to", "say", "say", "say"]
+
+    asyncio.run(talk())
+
+
+def test_what_the_binding_demands_of_a_stop_call_has_to_stand_in_its_answer() -> None:
+    async def talk() -> None:
+        no, yes = (Answer(is_error=False, structured={"ok": ok}) for ok in (False, True))
+        robot = Robot(navigate_to=[None], say=[no, yes])
+        body = body_of(robot, "say", demand={"ok": True})
+        body.begin(GO)
+        await until(lambda: robot.calls)
+        body.brake()
+        await until(lambda: body.stands)
+        assert robot.calls == ["navigate_to", "say", "say"]
+
+    asyncio.run(talk())
+
+
+def test_a_stop_call_that_the_binding_does_not_know_has_to_be_no_error() -> None:
+    async def talk() -> None:
+        robot = Robot(halt=[ERROR, DONE])
+        body = body_of(robot, "halt")
+        assert not body.stands  # nobody knows what a start before has left
+        body.brake()
+        await until(lambda: body.stands)
+        assert robot.calls == ["halt", "halt"]
+
+    asyncio.run(talk())
+
+
+def test_who_lets_go_in_mid_motion_stops_first_and_does_not_wait_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(body_module, "STOP_S", 0.1)
+
+    async def talk() -> None:
+        for said, stands in ((DONE, True), (None, False)):
+            robot = Robot(navigate_to=[None], say=[said])
+            body = body_of(robot, "say")
+            body.begin(GO)
+            await until(lambda robot=robot: robot.calls)  # type: ignore[misc]
+            await body.let_go()
+            assert robot.calls[:2] == ["navigate_to", "say"]
+            assert body.stands is stands
+        idle = Robot()
+        await body_of(idle, "say").let_go()
+        assert idle.calls == []
+
+    asyncio.run(talk())
+
+
+def test_the_first_word_on_how_it_ended_counts() -> None:
+    kind = worlds.site().vocabulary[worlds.navigate("dock", "pharmacy").type]
+    flight = ToolFlight(kind)
+    flight.end(Outcome.FAILED, Told(b"x", ("x",)))
+    flight.end(Outcome.SUCCEEDED)
+    assert (flight.outcome(), flight.told()) == (Outcome.FAILED, Told(b"x", ("x",)))
+
+
+def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
+    async def talk() -> None:
+        ended = asyncio.Event()
+        means = Means(
+            site=worlds.site(),
+            binder=Binder(worlds.site(), worlds.binding()),
+            rebuilder=Rebuilder(worlds.site(), worlds.binding()),
+        )
+        body = ToolBody(worlds.RID, Silent(), means, ended.set)
+        flight = body.begin(worlds.navigate("dock", "pharmacy"))
+        assert not body.stands
+        await ended.wait()
+        assert flight.outcome() is Outcome.NOT_STARTED
+        assert body.stands
+        body.brake()  # nothing runs, and nothing is stopped
+        assert flight.outcome() is Outcome.NOT_STARTED
+
+    asyncio.run(talk())
