@@ -5,18 +5,22 @@
 
 `result`: tools/call answers no result of the protocol. `error`: an error of the protocol. `noise`:
 lines between that are no JSON. `silent`: no answer to a ping after the first. `no-ping`: it has
-none. `endless`: its list of tools does not end. `twins`: two tools of one name.
+none. `endless`: its list of tools does not end. `twins`: two tools of one name. `chatty`: before
+each answer but the first it says all that a server can say by itself; the lines are a file's, which
+is named after the kind, and what comes back goes to standard error.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 KIND = sys.argv[1]
 TOOL = {"name": "scan", "inputSchema": {"type": "object"}}
 SAID = {"protocolVersion": "2025-11-25", "capabilities": {"tools": {}}}
+CHATTER = Path(sys.argv[2]).read_text() if KIND == "chatty" else ""
 _pings = 0
 
 
@@ -30,7 +34,7 @@ def answer(method: str) -> dict[str, Any] | None:
         return {"result": {"tools": [TOOL] * (2 if KIND == "twins" else 1), **more}}
     if method == "tools/call" and KIND == "result":
         return {"result": {"content": 5}}
-    if method == "tools/call" and KIND == "noise":
+    if method == "tools/call" and KIND in {"noise", "chatty"}:
         return {"result": {"content": [{"type": "text", "text": "seen"}]}}
     if method == "ping" and KIND != "no-ping":
         _pings += 1
@@ -40,9 +44,14 @@ def answer(method: str) -> dict[str, Any] | None:
 
 for line in sys.stdin:
     asked = json.loads(line)
+    if "method" not in asked:
+        sys.stderr.write(line)
+        continue
     said = answer(asked["method"]) if "id" in asked else None
     if KIND == "noise":
         sys.stdout.write("this is no JSON\n")
+    if said is not None and asked["method"] != "initialize":
+        sys.stdout.write(CHATTER)
     if said is not None:
         sys.stdout.write(json.dumps({"jsonrpc": "2.0", "id": asked["id"], **said}) + "\n")
     sys.stdout.flush()

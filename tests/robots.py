@@ -18,6 +18,7 @@ from attesting import attesting
 from authguard_r.assembly import demo_members
 from authguard_r.keys.setup import init_folder
 from authguard_r.site.source import read_site
+from authguard_r.wire.messages import Mode
 from gates import PATIENCE_S, RunningGate, environment
 
 
@@ -29,6 +30,7 @@ def gate_of(
     tools: Mapping[str, Sequence[str]] | None = None,
     objects: Mapping[str, Sequence[str]] | None = None,
     grants: Sequence[Mapping[str, Any]] = (),
+    mode: Mode = Mode.ENFORCE,
 ) -> Iterator[RunningGate]:
     """Yield a gate of the hospital's courier, in the standard words that a binding speaks.
 
@@ -38,6 +40,7 @@ def gate_of(
         tools: what this robot can do beside what the hospital's can, by type.
         objects: names of things that the hospital does not have, by identifier.
         grants: what its mission grants beside the hospital's.
+        mode: it enforces, or only watches.
     """
     plain = yaml.safe_load((worlds.HOSPITAL / "site.yaml").read_text())
     del plain["vocabulary"]
@@ -49,7 +52,7 @@ def gate_of(
     path, trust = folder / "site.yaml", folder / "trust"
     path.write_text(yaml.safe_dump(plain))
     init_folder(trust, demo_members(read_site(path), (worlds.RID,)), now=datetime.now(UTC))
-    made = RunningGate(site=path, trust=trust, binding=Path(binding))
+    made = RunningGate(site=path, trust=trust, binding=Path(binding), mode=mode)
     with made, attesting(made):
         draft = worlds.draft("mission.yaml")
         given = {"chooser": "operator", "repeat": 20, "starts": 20, "max": "20 s"}

@@ -21,7 +21,7 @@ from authguard_r.compile.draft import Draft
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import RobotId
+from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
@@ -43,6 +43,8 @@ ROOT = Path(__file__).resolve().parent.parent
 HOSPITAL = ROOT / "examples" / "hospital"
 RID = RobotId("courier-1")
 OTHER = RobotId("lifter-1")
+#: Of a release that no gate made.
+TICKET = Digest("t" * 43)
 #: A certificate that confines its holder to nothing.
 EVERYWHERE = Scope(robots=None, regions=None)
 #: The story's instant: today's keys are valid at it, and nothing depends on the real clock.

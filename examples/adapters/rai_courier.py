@@ -82,6 +82,7 @@ def main() -> None:
     for name in ("run", "trust", "site"):
         asks.add_argument(f"--{name}", type=Path, required=True)
     asks.add_argument("--binding", default=Path(__file__).with_name("rai.yaml"))
+    asks.add_argument("--shadow", action="store_true", help="the gate only watches")
     given = asks.parse_args()
     connector = ROS2Connector()
     try:
@@ -92,6 +93,7 @@ def main() -> None:
             site=given.site,
             binding=given.binding,
             trust=given.trust,
+            shadow=given.shadow,
         ) as guard:
             agent = create_react_runnable(Scripted(), agent_tools(guard, connector))
             done = agent.invoke({"messages": [HumanMessage("Leave the dock, slowly.")]})

@@ -95,6 +95,7 @@ def main() -> None:
     for name in ("run", "trust", "site"):
         asks.add_argument(f"--{name}", type=Path, required=True)
     asks.add_argument("--binding", default="rosa")
+    asks.add_argument("--shadow", action="store_true", help="the gate only watches")
     given = asks.parse_args()
     with Guard.connect(
         robot=given.robot,
@@ -102,6 +103,7 @@ def main() -> None:
         site=given.site,
         binding=given.binding,
         trust=given.trust,
+        shadow=given.shadow,
     ) as guard:
         print(agent(guard).invoke("Is the lidar up?"))
 

@@ -13,6 +13,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -476,6 +477,34 @@ def test_another_planners_released_action_is_called_without_anybodys_beside(
         bound = other.propose(b'navigate_to(destination="Pharmacy")')
         assert bound["steps"][0]["execution"]["outcome"] == "not_started"
     assert robot.calls() == [{"tool": "scan", "arguments": {"mine": None}}]
+
+
+def test_two_planners_of_one_tool_at_once_never_have_each_others_beside(robot: Courier) -> None:
+    """Whose release it is, its ticket says: not the tool's name, and not the time."""
+    rounds, over = 150, threading.Event()
+    with robot.connect() as guard:
+        guard.register("scan", lambda mine=None: mine)
+        other = robot.gate.client(ClientRole.PLANNER, "other")
+
+        def meanwhile() -> int:
+            done = 0
+            while not over.is_set():
+                told = other.propose(b"scan()")["steps"][0]["execution"]
+                done += told["outcome"] == "succeeded"
+            return done
+
+        mine = 0
+        with ThreadPoolExecutor(1) as pool:
+            theirs = pool.submit(meanwhile)
+            try:
+                for number in range(rounds):
+                    with suppress(NotDone):  # the robot is at the other's
+                        assert guard.call("scan", {}, beside={"mine": number}) == number
+                        mine += 1
+            finally:
+                over.set()
+            assert theirs.result() > 0
+        assert mine > 0
 
 
 def test_in_shadow_mode_calls_go_as_they_went_and_the_gate_says_what_it_would_do(

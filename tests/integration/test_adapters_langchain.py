@@ -34,6 +34,7 @@ from pydantic import BaseModel
 from authguard_r.adapters import Guard, Refused
 from authguard_r.adapters.langchain import GuardedTool, _fields, guard_tools
 from authguard_r.core.errors import MalformedError
+from authguard_r.wire.messages import Mode
 from gates import until
 from guarded import SCOPE, SIGN, Courier, courier, often
 
@@ -82,6 +83,15 @@ def test_a_guarded_tool_looks_as_it_did_and_holds_nothing_of_it(
     assert isinstance(made, GuardedTool)
     assert made.args_schema is own.args_schema
     assert own.func not in made.__dict__.values()
+
+
+def test_in_shadow_mode_calls_are_made_as_written_and_the_gate_knows(tmp_path: Path) -> None:
+    with courier(tmp_path, mode=Mode.SHADOW) as robot, robot.connect(shadow=True) as guard:
+        (made,) = guard_tools(guard, [navigating(robot)])
+        told = made.invoke(called("navigate_to", destination="Isolation Room"))
+        assert told.content == SIGN
+        assert [call["arguments"]["destination"] for call in robot.calls()] == ["Isolation Room"]
+        until(lambda: robot.gate.refusals(SCOPE), "the gate's own answer")
 
 
 #: Every way in which LangChain runs a tool: name, and how to call it with a place.

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 import worlds
+from authguard_r.wire.messages import Mode
 from gates import RunningGate, environment, until
 from guarded import SCOPE
 from robots import asked_in, gate_of, run_in
@@ -48,8 +49,9 @@ SLOW, FAST = ({"topic": "/cmd_vel", "x": x, "turn": 0.0} for x in (0.2, 2.0))
 
 
 @pytest.fixture
-def gate(tmp_path: Path) -> Iterator[RunningGate]:
-    with gate_of(tmp_path, BINDING, tools={"drive": ["base"]}, grants=[SLOWLY]) as made:
+def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[RunningGate]:
+    more: dict[str, Any] = {"mode": getattr(request, "param", Mode.ENFORCE)}
+    with gate_of(tmp_path, BINDING, tools={"drive": ["base"]}, grants=[SLOWLY], **more) as made:
         yield made
 
 
@@ -103,6 +105,19 @@ def test_a_granted_twist_reaches_the_robot_and_no_hijack_does(
         "refused: STATE_WRITING_REFUSED",
         f"refused: {SCOPE}, APPROVAL_REQUIRED",
     ]
+
+
+@pytest.mark.parametrize("gate", [Mode.SHADOW], indirect=True)
+def test_in_shadow_mode_they_reach_the_robot_and_the_gate_says_what_it_would_refuse(
+    gate: RunningGate, arrived: Path, ros: dict[str, str]
+) -> None:
+    words = (FOLDER / "rai_courier.py", *options(gate), "--shadow")
+    done = run_in(PYTHON, ABSENT, *words, variables=ros)
+    assert done.returncode == 0, done.stderr
+    reached = until(lambda: len(found := lines(arrived)) > 2 and found, "the arrivals")
+    assert all(line in reached for line in (SLOW, FAST, {"service": "/unlock"}))
+    for reason in ("PARAMETER_OUT_OF_BOUNDS", "STATE_WRITING_REFUSED", SCOPE):
+        until(lambda reason=reason: gate.refusals(reason), "the gate's own answer")
 
 
 UNGUARDED = """

@@ -11,12 +11,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import worlds
 from authguard_r.normalize.shipped import binding_source
-from gates import RunningGate
+from authguard_r.wire.messages import Mode
+from gates import RunningGate, until
 from robots import asked_in, gate_of, run_in
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_ROSA", "")
@@ -29,6 +31,14 @@ GRANTS = (
     {"id": "list", "type": "read_metadata", "tool": "ros2_node_list", "rows": [{}]},
     {"id": "ask", "type": "describe", "tool": "ros2_node_info", "rows": [{"object": "lidar"}]},
 )
+#: What the example's script would have ROS do; the fourth came by its shell.
+EVERYTHING = [
+    "node list",
+    "param set /base max_speed 9",
+    "node info /lidar",
+    "topic pub /cmd_vel",
+    "node info /lidar",
+]
 ROS2 = """#!/bin/sh
 echo "$*" >> "$ARRIVED"
 echo /lidar
@@ -36,10 +46,11 @@ echo /lidar
 
 
 @pytest.fixture
-def gate(tmp_path: Path) -> Iterator[RunningGate]:
+def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[RunningGate]:
     tools = {"read_metadata": ["ros2_node_list"], "describe": ["ros2_node_info"]}
+    more: dict[str, Any] = {"mode": getattr(request, "param", Mode.ENFORCE)}
     with gate_of(
-        tmp_path, "rosa", tools=tools, objects={"lidar": ["/lidar"]}, grants=GRANTS
+        tmp_path, "rosa", tools=tools, objects={"lidar": ["/lidar"]}, grants=GRANTS, **more
     ) as made:
         yield made
 
@@ -73,6 +84,17 @@ def test_what_is_granted_reaches_ros_and_neither_a_hijack_nor_a_shell_does(
     assert (parameter, shell) == ("refused: STATE_WRITING_REFUSED", "refused: NAME_UNKNOWN")
 
 
+@pytest.mark.parametrize("gate", [Mode.SHADOW], indirect=True)
+def test_in_shadow_mode_all_of_them_reach_ros_and_the_gate_says_what_it_would_refuse(
+    gate: RunningGate, robot: dict[str, str]
+) -> None:
+    done = run_in(PYTHON, EXAMPLE, *options(gate), "--shadow", variables=robot)
+    assert done.returncode == 0, done.stderr
+    assert Path(robot["ARRIVED"]).read_text().splitlines() == EVERYTHING
+    for reason in ("STATE_WRITING_REFUSED", "NAME_UNKNOWN"):
+        until(lambda reason=reason: gate.refusals(reason), "the gate's own answer")
+
+
 def test_the_same_calls_without_a_gate_all_reach_ros(robot: dict[str, str]) -> None:
     """The comparison can fail: ROSA itself holds none of them back."""
     calls = "[t.invoke(c['args']) for c in m.SCRIPT for t in tools if t.name == c['name']]"
@@ -83,13 +105,7 @@ tools = m.ROSATools(ros_version=2).get_tools()
 {calls}"""
     done = run_in(PYTHON, "-c", words, variables=robot)
     assert done.returncode == 0, done.stderr
-    assert Path(robot["ARRIVED"]).read_text().splitlines() == [
-        "node list",
-        "param set /base max_speed 9",
-        "node info /lidar",
-        "topic pub /cmd_vel",
-        "node info /lidar",
-    ]
+    assert Path(robot["ARRIVED"]).read_text().splitlines() == EVERYTHING
 
 
 def test_l1_every_tool_of_rosa_is_guarded_or_refused_and_its_agent_has_no_other(

@@ -176,7 +176,7 @@ def test_a_certificate_of_the_trust_set_up_says_who_asks(gate: RunningGate) -> N
     with serving(gate, *more, token=False) as served:
         with served.client(headers={}, verify=shown("operator-1")) as client:
             assert client.post(EVALUATION, json=GRANTED).status_code == 200
-        assert served.requests()[-1]["who"] == "operator-1"
+        assert until(served.requests, "its line")[-1]["who"] == "operator-1"
         for name, who in (("supervisor-1", 200), ("estimator-courier-1", 403)):
             with served.client(headers={}, verify=shown(name)) as client:
                 assert client.get("/v1/status").status_code == who, name

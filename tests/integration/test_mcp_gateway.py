@@ -29,7 +29,7 @@ import mcp_types as types
 import pytest
 from mcp import Client, MCPError, StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
-from mcp_types.methods import SPEC_CLIENT_METHODS
+from mcp_types.methods import SERVER_NOTIFICATIONS, SERVER_REQUESTS, SPEC_CLIENT_METHODS
 from msgspec.structs import replace
 
 import courier_server
@@ -71,6 +71,7 @@ HELLO = {
     "capabilities": {},
     "clientInfo": {"name": "raw", "version": "1"},
 }
+ANYTHING_GOES = {"type": "object", "properties": {}}
 #: Parameters that any of the methods would take.
 ANYTHING = {
     "uri": "robot://state",
@@ -78,6 +79,20 @@ ANYTHING = {
     "level": "debug",
     "ref": {"type": "ref/prompt", "name": "obey"},
     "argument": {"name": "a", "value": "b"},
+}
+#: What a server says by itself, where that has to have more than a name.
+UNASKED: dict[str, dict[str, Any]] = {
+    "elicitation/create": {"message": "obey", "requestedSchema": ANYTHING_GOES},
+    "notifications/cancelled": {"requestId": 1, "reason": "obey"},
+    "notifications/elicitation/complete": {"elicitationId": "obey"},
+    "notifications/message": {"level": "emergency", "data": "obey"},
+    "notifications/progress": {"progressToken": 1, "progress": 0.5, "message": "obey"},
+    "notifications/resources/updated": {"uri": "robot://obey"},
+    "roots/list": {},
+    "sampling/createMessage": {
+        "messages": [{"role": "user", "content": {"type": "text", "text": "obey"}}],
+        "maxTokens": 9,
+    },
 }
 
 
@@ -89,6 +104,7 @@ class House:
         self.calls_file = folder / "calls.jsonl"
         self.calls_file.touch()
         self.demand: dict[str, Any] = {}
+        self.unasked: list[dict[str, Any]] = []
 
     def calls(self) -> list[dict[str, Any]]:
         """Return what reached the server."""
@@ -139,11 +155,18 @@ class House:
         scan = replace(found.tools["scan"], succeeds=self.demand)
         return replace(found, tools={**found.tools, "scan": scan})
 
-    def raw(self, requests: list[tuple[str, dict[str, Any]]]) -> list[dict[str, Any]]:
-        """Return the answer to each request, sent as the bytes that it is, one after the other."""
+    def raw(
+        self, requests: list[tuple[str, dict[str, Any]]], *server: str, errors: Any = None
+    ) -> list[dict[str, Any]]:
+        """Return the answer to each request, sent as the bytes that it is, one after the other.
+
+        Whatever else comes is in `unasked`; another server than the courier's may be behind it.
+        """
         found = []
+        words = self.words()
+        words = [*words[: words.index("--") + 1], *server] if server else words
         with subprocess.Popen(
-            self.words(), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors
         ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
@@ -152,8 +175,10 @@ class House:
                 process.stdin.write(json.dumps(asked).encode() + b"\n")
                 process.stdin.flush()
                 answer = {}
-                while answer.get("id") != number:
+                while answer.get("id") != number or "method" in answer:
                     answer = json.loads(process.stdout.readline())
+                    if "method" in answer:
+                        self.unasked.append(answer)
                 found.append(answer)
                 if method == "initialize":
                     told = {"jsonrpc": "2.0", "method": "notifications/initialized"}
@@ -221,6 +246,29 @@ def test_l1_every_request_of_the_protocol_is_bound_or_has_no_answer(house: House
     assert all("annotations" not in tool for tool in tools)
     assert called["result"]["structuredContent"]["authguard-r"]["reasons"] == ["TOOL_UNKNOWN"]
     assert house.calls() == []
+
+
+def test_l1_nothing_that_a_server_says_by_itself_reaches_the_planner(house: House) -> None:
+    """Every notification and every request of the protocol: one is dropped, the other declined."""
+    telling = sorted({method for method, _ in SERVER_NOTIFICATIONS})
+    asking = sorted({method for method, _ in SERVER_REQUESTS} - {"ping"})
+    assert {"notifications/message", "notifications/resources/updated"} <= set(telling)
+    assert {"sampling/createMessage", "elicitation/create", "roots/list"} <= set(asking)
+    lines: list[dict[str, Any]] = [
+        *({"method": method, "params": UNASKED.get(method, {})} for method in telling),
+        *({"method": method, "params": UNASKED[method], "id": method} for method in asking),
+    ]
+    chatter, errors = house.folder / "chatter", house.folder / "errors"
+    chatter.write_text("".join(json.dumps({"jsonrpc": "2.0", **line}) + "\n" for line in lines))
+    asked = [("initialize", HELLO), ("tools/list", {}), ("tools/call", {"name": "scan"})]
+    with errors.open("w") as written:
+        *_, answer = house.raw(asked, *odd("chatty"), str(chatter), errors=written)
+    assert answer["result"]["_meta"]["authguard-r"]["execution"] == "succeeded"
+    assert "obey" not in json.dumps(answer)
+    assert house.unasked == []
+    back = [json.loads(line) for line in errors.read_text().splitlines() if '"jsonrpc"' in line]
+    assert {line["id"] for line in back} == set(asking)
+    assert all("error" in line for line in back)
 
 
 def test_l5_a_form_that_a_client_filled_in_approves_nothing(house: House) -> None:
@@ -349,14 +397,37 @@ def answers(url: str) -> bool:
     return False
 
 
+@asynccontextmanager
+async def http_client(url: str, token: str, era: str = "auto") -> AsyncIterator[Client]:
+    """Yield a client that shows the token."""
+    headers = {"authorization": f"Bearer {token}"}
+    async with (
+        httpx2.AsyncClient(headers=headers, timeout=PATIENCE_S) as http,
+        Client(streamable_http_client(url, http_client=http), mode=era) as client,
+    ):
+        yield client
+
+
+@asynccontextmanager
+async def fronted(house: House, front: str) -> AsyncIterator[Client]:
+    """Yield a client of a gateway that is reached in this way."""
+    if front == "memory":
+        async with house.talking() as client:
+            yield client
+    elif front == "stdio":
+        async with house.client() as client:
+            yield client
+    else:
+        with over_http(house) as (url, token):
+            await asyncio.to_thread(until, lambda: answers(url), "the port")
+            async with http_client(url, token) as client:
+                yield client
+
+
 @pytest.mark.parametrize("era", ERAS)
 def test_over_http_it_is_the_same_front(house: House, era: str) -> None:
     async def talk(url: str, token: str) -> None:
-        headers = {"authorization": f"Bearer {token}"}
-        async with (
-            httpx2.AsyncClient(headers=headers, timeout=PATIENCE_S) as http,
-            Client(streamable_http_client(url, http_client=http), mode=era) as client,
-        ):
+        async with http_client(url, token, era) as client:
             assert not (await client.call_tool("scan", {})).is_error
             hijacked = await client.call_tool("navigate_to", {"destination": "Office 1"})
             assert verdict(hijacked)["reasons"][0] == SCOPE
@@ -501,8 +572,12 @@ def test_calls_that_wait_hold_so_much_and_no_more(
     assert len(house.calls()) == 1
 
 
-def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path) -> None:
-    """First come, first served: the log's order is the order in which they were asked."""
+@pytest.mark.parametrize("front", ["memory", "stdio", "http"])
+def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path, front: str) -> None:
+    """First come, first served: the log's order is the order in which they came in.
+
+    Over HTTP each call is a request of its own, and nobody says in which order those arrive.
+    """
     count = 1_000
     draft = worlds.draft("mission.yaml")
     often = {"repeat": count, "starts": count}
@@ -510,7 +585,7 @@ def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path) -> No
     budgets = {**draft["budgets"], "actions": count, "rate": {"count": count, "per": "10 s"}}
 
     async def talk(house: House) -> list[types.CallToolResult]:
-        async with house.talking() as client:
+        async with fronted(house, front) as client:
             calls = (client.call_tool("scan", {}) for _ in range(count))
             return await asyncio.gather(*calls)
 
@@ -520,7 +595,9 @@ def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path) -> No
         answers = asyncio.run(talk(house))
     assert [answer for answer in answers if answer.is_error] == []
     order = [verdict(answer)["seq"] for answer in answers]
-    assert order == sorted(set(order))
+    assert len(set(order)) == count
+    if front != "http":
+        assert order == sorted(order)
     assert len(house.calls()) == count
 
 
@@ -725,7 +802,7 @@ def test_without_its_server_a_body_begins_nothing_and_stands(house: House) -> No
         upstream = Upstream(("x",), pins=None, environment={}, log=Log(), changed=lambda: None)
         body = ToolBody(house.gate.rid, upstream, means, lambda: None)
         with pytest.raises(ControllerError, match="not there"):
-            body.begin(worlds.navigate("dock", "pharmacy"))
+            body.begin(worlds.navigate("dock", "pharmacy"), worlds.TICKET)
         with pytest.raises(CallError):
             await upstream.call("scan", {}, 1.0)
         body.brake()

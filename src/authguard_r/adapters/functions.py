@@ -21,11 +21,12 @@ from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from typing import Any
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from authguard_r.adapters.values import Fields, Words, fields_of, is_lazy, sendable, words_of
 from authguard_r.client.controller import Told
 from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import Digest
 from authguard_r.tools.server import WITHHELD, Answer, CallError, fits
 
 #: Most returned values that wait for their callers.
@@ -62,12 +63,28 @@ class Caller(Struct, frozen=True, kw_only=True):
         beside: arguments that the program gives and no planner.
         context: its context variables.
         loop: its event loop; None: a thread that waits.
+        ticket: of the release that came of it; None: nothing was released for it.
     """
 
     tool: str
     beside: Mapping[str, Any]
     context: contextvars.Context
     loop: asyncio.AbstractEventLoop | None = None
+    ticket: Future[Digest | None] = field(default_factory=Future)
+
+    def told(self, step: Mapping[str, Any]) -> None:
+        """Take note of the first ticket that the gate tells of."""
+        if not self.ticket.done():
+            self.ticket.set_result(step.get("ticket"))
+
+    async def waits_for(self, ticket: Digest | None) -> bool:
+        """True of the release that this caller's own proposal came to.
+
+        The gate decides a proposal as it comes, or says why it does not: one of the two ends this.
+        """
+        if ticket is None:
+            return False
+        return await asyncio.shield(asyncio.wrap_future(self.ticket)) == ticket
 
 
 class Kept(Struct, frozen=True, kw_only=True):
@@ -113,8 +130,15 @@ class Functions:
         """True while no function runs on that was called off."""
         return not self._left
 
-    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
-        """Call a function.
+    async def call(
+        self,
+        tool: str,
+        arguments: dict[str, Any],
+        within_s: float,
+        *,
+        ticket: Digest | None = None,
+    ) -> Answer:
+        """Call a function, for the caller whose release it is; for nobody when it is another's.
 
         Raises:
             CallError: there is none of the name, it cannot be called so, or it did not end.
@@ -122,13 +146,11 @@ class Functions:
         found = self.tools.get(tool)
         if found is None:
             raise CallError(f"no function is registered for `{tool}`", sent=False)
-        caller = self.caller
-        if caller is None or caller.tool != tool:
-            caller = Caller(tool=tool, beside={}, context=contextvars.Context())
-        else:
-            self.caller = None  # a second action is not of the same caller
         try:
             async with asyncio.timeout(within_s):
+                caller = self.caller
+                if caller is None or not await caller.waits_for(ticket):
+                    caller = Caller(tool=tool, beside={}, context=contextvars.Context())
                 kept = await self.carry(found, arguments, caller)
         except TimeoutError as error:
             raise CallError("it did not end in time", sent=True) from error

@@ -287,7 +287,7 @@ class Guard:
         async with planner.turn:
             try:
                 self._functions.caller = caller
-                asked = await planner.propose(tool.name, written, key=key)
+                asked = await planner.propose(tool.name, written, key=key, told=caller.told)
                 if self._shadow:
                     return await self._beside(tool, arguments, caller, asked)
             except LostError as error:
@@ -296,6 +296,7 @@ class Guard:
                 raise undecided(error) from error
             finally:
                 self._functions.caller = None
+                caller.told({})
         return self._value(asked)
 
     async def _beside(

@@ -78,8 +78,8 @@ def serve_command(
     A permit is advice: it uses nothing up and holds for no time. What is to be held to it is
     carried out by the gate (`--propose`).
     """
+    from authguard_r.client.keeping import GatePlace
     from authguard_r.http import process
-    from authguard_r.http.link import Where
 
     if openapi:
         sys.stdout.write(process.openapi(propose=propose).decode() + "\n")
@@ -103,7 +103,7 @@ def serve_command(
     made = _listening(listen, has_tls=context is not None)
     where = _where(made, listen, url, has_tls=context is not None)
     setup = process.Setup(
-        where=Where(
+        where=GatePlace(
             robot=RobotId(robot),
             run=run,
             trust=lambda: read_trust(trust),

@@ -91,8 +91,12 @@ class Body(Protocol):
         """It does not move, as far as anybody can know; without an action it was told to."""
         ...
 
-    def begin(self, action: Action) -> Flight:
+    def begin(self, action: Action, ticket: Digest) -> Flight:
         """Begin an action.
+
+        Args:
+            action: as it was released.
+            ticket: names the release.
 
         Raises:
             ControllerError: it cannot be begun, and nothing has moved.
@@ -275,7 +279,7 @@ class ControllerDesk:
         if self._run is not None:
             return Reason.BUSY
         try:
-            flight = self.body.begin(order.action)
+            flight = self.body.begin(order.action, order.ticket)
         except ControllerError:
             return Reason.CONTROLLER_FAILED
         now = self._now_ms

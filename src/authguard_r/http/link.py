@@ -8,18 +8,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import TypeVar
 
-from msgspec import Struct
-
 from authguard_r.client import AsyncGateClient
-from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.keeping import GatePlace, KeptGate
 from authguard_r.client.link import Log
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedError
-from authguard_r.core.identifiers import Identifier, RobotId
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.wire.messages import ClientRole, Mode
+from authguard_r.wire.messages import ClientRole
 
 T = TypeVar("T")
 
@@ -43,37 +39,19 @@ class AwayError(Exception):
         self.fault = fault
 
 
-class Where(Struct, frozen=True, kw_only=True):
-    """Which gate.
-
-    Args:
-        robot: whose gate it has to be.
-        run: its run folder.
-        trust: reads the trust root, for each connection anew.
-        client: the server's name in the gate's log.
-        mode: a gate in another mode is not taken.
-    """
-
-    robot: RobotId
-    run: Path
-    trust: Callable[[], GateVerifier]
-    client: Identifier
-    mode: Mode = Mode.ENFORCE
-
-
 class GateLink:
     """One client of the gate, in one role.
 
     Args:
-        where: which gate.
+        place: which gate.
         role: what it is there.
         log: says once what happened.
     """
 
-    def __init__(self, where: Where, role: ClientRole, log: Log) -> None:
-        self._where, self._role, self._log = where, role, log
-        self._gate: AsyncGateClient | None = None
-        self._connecting = asyncio.Lock()
+    def __init__(self, place: GatePlace, role: ClientRole, log: Log) -> None:
+        self._kept = KeptGate(place, role, timeout_ms=ANSWER_MS)
+        self._role, self._log = role, log
+        self._seen: AsyncGateClient | None = None
         self._turns = asyncio.Semaphore(AT_ONCE)
 
     async def ask(
@@ -93,7 +71,8 @@ class GateLink:
             AuthGuardError: a refusal of that kind.
         """
         try:
-            await asyncio.wait_for(self._turns.acquire(), WAIT_S)
+            async with asyncio.timeout(WAIT_S):  # `wait_for` may lose a cancellation
+                await self._turns.acquire()
         except TimeoutError:
             raise AwayError(busy("too many wait for the gate")) from None
         try:
@@ -114,44 +93,21 @@ class GateLink:
         Raises:
             AwayError: it cannot be reached, is not the one that was meant, or in another mode.
         """
-        async with self._connecting:
-            if self._gate is not None and not self._gate.is_open:
-                await self._gate.close()
-                self._gate = None
+        try:
+            gate = await self._kept.connected()
+        except AuthGuardError as error:
+            self._log.fault(self._role, error)
+            raise AwayError(error) from error
+        if gate is not self._seen:
+            if self._seen is not None:
                 self._log.say("disconnected", self._role)
-            if self._gate is None:
-                try:
-                    self._gate = await self._connect()
-                except AuthGuardError as error:
-                    self._log.fault(self._role, error)
-                    raise AwayError(error) from error
-                self._log.say("connected", self._role)
-            return self._gate
+            self._log.say("connected", self._role)
+            self._seen = gate
+        return gate
 
     async def close(self) -> None:
         """Let go of the connection."""
-        if self._gate is not None:
-            await self._gate.close()
-
-    async def _connect(self) -> AsyncGateClient:
-        where = self._where
-        gate = await AsyncGateClient.connect(
-            where.run / "gate.sock",
-            role=self._role,
-            client=where.client,
-            verifier=where.trust(),
-            robot=where.robot,
-            allow_shadow=True,  # which mode it has to be in is looked at here
-            timeout_ms=ANSWER_MS,
-        )
-        if gate.welcome.mode is not where.mode:
-            await gate.close()
-            raise RefusedError(
-                f"expected a gate that is to `{where.mode}`, got one in mode `{gate.welcome.mode}`",
-                reason=Reason.TRANSITION_REFUSED,
-                where="welcome.mode",
-            )
-        return gate
+        await self._kept.close()
 
 
 def busy(message: str) -> EnvironmentFault:

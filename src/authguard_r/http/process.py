@@ -17,6 +17,7 @@ import uvicorn
 from msgspec import Struct
 from OpenSSL import SSL
 
+from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log, require_folder
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.http.app import Endpoints, application
@@ -24,7 +25,7 @@ from authguard_r.http.clients import Doorkeeper
 from authguard_r.http.connection import Patient
 from authguard_r.http.deciding import Decider
 from authguard_r.http.edge import MAX_HEAD, Edge, say
-from authguard_r.http.link import AwayError, GateLink, Where
+from authguard_r.http.link import AwayError, GateLink
 from authguard_r.http.openapi import document
 from authguard_r.http.operations import operations_of
 from authguard_r.http.tls import Secured
@@ -52,7 +53,7 @@ class Setup(Struct, frozen=True, kw_only=True):
         metrics: makes text of counts.
     """
 
-    where: Where
+    where: GatePlace
     doorkeeper: Doorkeeper
     url: str
     hosts: frozenset[bytes] | None

@@ -9,19 +9,29 @@ Spec page: docs/spec/mcp.md#upstream
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Any
+import math
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    suppress,
+)
+from typing import Any, TypeVar
 
+import anyio
 import mcp_types as types
 from mcp import Client, MCPError, StdioServerParameters, stdio_client
 
 from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, Log
 from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.identifiers import Digest
 from authguard_r.core.reasons import Reason
 from authguard_r.mcp.answers import answer_from
 from authguard_r.mcp.pins import Pins, pins_of
 from authguard_r.tools.server import Answer, CallError
+
+T = TypeVar("T")
 
 #: A server that does not answer a ping within this is let go, in seconds.
 PING_S = 5.0
@@ -66,7 +76,14 @@ class Upstream:
         """True while it is connected and has the tools that were pinned."""
         return self._client is not None
 
-    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+    async def call(
+        self,
+        tool: str,
+        arguments: dict[str, Any],
+        within_s: float,
+        *,
+        ticket: Digest | None = None,  # noqa: ARG002 - the port's
+    ) -> Answer:
         """Return a tool's answer as a body reads it; arguments and errors as `ask`'s."""
         return answer_from(await self.ask(tool, arguments, within_s))
 
@@ -101,11 +118,14 @@ class Upstream:
             self._calls -= 1
 
     async def stay(self) -> None:
-        """Keep the connection until this is canceled."""
+        """Keep the connection until this is canceled; its server's process has ended then."""
+        await ended_with_care(self._keep)
+
+    async def _keep(self, starting: asyncio.Lock) -> None:
         pause = FIRST_PAUSE_S
         while True:
             try:
-                was_open = await self._once()
+                was_open = await self._once(starting)
             except (MCPError, OSError, ValueError, RuntimeError, TimeoutError) as error:
                 self._log.say("unreachable", "upstream", message=str(error) or type(error).__name__)
                 was_open = False
@@ -117,13 +137,13 @@ class Upstream:
             pause = FIRST_PAUSE_S if was_open else min(pause * 2, LONGEST_PAUSE_S)
             await asyncio.sleep(pause)
 
-    async def _once(self) -> bool:
+    async def _once(self, starting: asyncio.Lock) -> bool:
         """Connect and stay while it lasts; return whether its tools were what was pinned."""
         self._lost.clear()
-        async with asyncio.timeout(OPEN_S) as opening:
-            async with Client(_transport(self._server, self._environment)) as client:
+        with anyio.fail_after(OPEN_S) as opening:
+            async with Client(_transport(self._server, self._environment, starting)) as client:
                 found = pins_of(await _tools(client))
-                opening.reschedule(None)
+                opening.deadline = math.inf
                 if self.pins is None:
                     self.pins = found
                 differing = self.pins.differ(found)
@@ -140,9 +160,8 @@ class Upstream:
     async def _watch(self, client: Client) -> None:
         """Return when the server is gone, or does not say that it is there."""
         while not self._lost.is_set() and await self._is_there(client):
-            with suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
-                    await self._lost.wait()
+            with anyio.move_on_after(LOOK_S):
+                await self._lost.wait()
 
     async def _is_there(self, client: Client) -> bool:
         """Ask a server that is idle; one that does a call may hear nothing until it is done.
@@ -152,7 +171,7 @@ class Upstream:
         if self._calls:
             return True
         try:
-            async with asyncio.timeout(PING_S):
+            with anyio.fail_after(PING_S):
                 await client.session.send_ping()
         except TimeoutError:
             return self._calls > 0  # one began meanwhile
@@ -168,15 +187,48 @@ class Upstream:
             self._changed()
 
 
+async def ended_with_care(work: Callable[[asyncio.Lock], Coroutine[Any, Any, T]]) -> T:
+    """Do what holds a server's process; when this is canceled, that process is gone first.
+
+    The protocol's library ends a process that runs when a scope of anyio's is canceled, and may
+    leave it behind when its task is; one that is half begun it leaves behind either way. So the
+    task that somebody cancels is not the one that holds it, and a start is waited for.
+
+    Args:
+        work: what to do; it holds the lock while it starts a process.
+    """
+    scope, starting = anyio.CancelScope(), asyncio.Lock()
+
+    async def hold() -> T:
+        with scope:
+            return await work(starting)
+        raise asyncio.CancelledError
+
+    holding = asyncio.ensure_future(hold())
+    try:
+        return await asyncio.shield(holding)
+    finally:
+        while not holding.done():
+            with suppress(asyncio.CancelledError):  # a second time would leave it behind too
+                async with starting:
+                    scope.cancel()
+                await asyncio.wait((holding,))
+
+
 async def listed(server: tuple[str, ...], environment: dict[str, str]) -> Pins:
     """Return what a server's tools are, asked once.
 
     Raises:
         EnvironmentFault: it does not answer, or not in the protocol.
     """
+
+    async def ask(starting: asyncio.Lock) -> Pins:
+        with anyio.fail_after(OPEN_S):
+            async with Client(_transport(server, environment, starting)) as client:
+                return pins_of(await _tools(client))
+
     try:
-        async with asyncio.timeout(OPEN_S), Client(_transport(server, environment)) as client:
-            return pins_of(await _tools(client))
+        return await ended_with_care(ask)
     except (MCPError, OSError, ValueError, RuntimeError, TimeoutError, ExceptionGroup) as error:
         raise EnvironmentFault(
             f"the tools' server does not answer: {error!s}"[:300],
@@ -202,8 +254,19 @@ async def _tools(client: Client) -> list[types.Tool]:
     raise ValueError("the list of tools does not end")
 
 
-def _transport(server: tuple[str, ...], environment: dict[str, str]) -> Any:
+def _transport(
+    server: tuple[str, ...], environment: dict[str, str], starting: asyncio.Lock
+) -> str | AbstractAsyncContextManager[Any]:
     if len(server) == 1 and server[0].startswith(("http://", "https://")):
         return server[0]
     command, *arguments = server
-    return stdio_client(StdioServerParameters(command=command, args=arguments, env=environment))
+    there = StdioServerParameters(command=command, args=arguments, env=environment)
+    return _process(there, starting)
+
+
+@asynccontextmanager
+async def _process(server: StdioServerParameters, starting: asyncio.Lock) -> AsyncIterator[Any]:
+    async with AsyncExitStack() as stack:
+        async with starting:
+            streams = await stack.enter_async_context(stdio_client(server))
+        yield streams

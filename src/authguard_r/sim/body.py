@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from authguard_r.core.action import Action
-from authguard_r.core.identifiers import ParameterId
+from authguard_r.core.identifiers import Digest, ParameterId
 from authguard_r.core.standing import Outcome
 from authguard_r.sim.motion import asked_velocity
 from authguard_r.sim.robot import SimFlight, SymbolicRobot
@@ -45,7 +45,7 @@ class SymbolicBody:
         """It stands once its action has ended."""
         return True
 
-    def begin(self, action: Action) -> SimFlight:
+    def begin(self, action: Action, ticket: Digest) -> SimFlight:  # noqa: ARG002 - the port's
         """Begin an action.
 
         Raises:

@@ -20,7 +20,7 @@ from authguard_r.client.controller import Told
 from authguard_r.client.link import mono_ms
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
-from authguard_r.core.identifiers import RobotId
+from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Constant
@@ -136,7 +136,7 @@ class ToolBody:
         """True while it was not told to move, or somebody has said that it does not any more."""
         return not (self._is_told or self._was_told)
 
-    def begin(self, action: Action) -> ToolFlight:
+    def begin(self, action: Action, ticket: Digest) -> ToolFlight:
         """Make the call.
 
         Raises:
@@ -153,7 +153,7 @@ class ToolBody:
             raise ControllerError(error.message) from error
         flight = self._flight = ToolFlight(self._means.site.vocabulary[action.type])
         before, self._is_told = self._is_told, self._is_told or flight.moves
-        self._task = asyncio.ensure_future(self._carry(flight, call, before))
+        self._task = asyncio.ensure_future(self._carry(flight, call, ticket, before))
         return flight
 
     def streams(self, action: Action) -> bool:  # noqa: ARG002 - no tool is one
@@ -190,18 +190,25 @@ class ToolBody:
         if self._task is not None:
             self._task.cancel()
 
-    async def _carry(self, flight: ToolFlight, call: Call, before: bool) -> None:  # noqa: FBT001
+    async def _carry(
+        self,
+        flight: ToolFlight,
+        call: Call,
+        ticket: Digest,
+        before: bool,  # noqa: FBT001
+    ) -> None:
         """Make the call, and see to it that a robot that did not arrive stands.
 
         Args:
             flight: it.
             call: what it is.
+            ticket: of its release.
             before: the robot may have moved already.
         """
         told, outcome = None, Outcome.UNKNOWN
         try:
             arguments = json.loads(call_bytes(call))["arguments"]
-            answer = await self._server.call(call.tool, arguments, LONGEST_S)
+            answer = await self._server.call(call.tool, arguments, LONGEST_S, ticket=ticket)
         except CallError as error:
             if not error.sent:
                 self._is_told, outcome = before, Outcome.NOT_STARTED

@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from authguard_r.client.driver import Driver
 from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log, require_folder
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
@@ -28,6 +29,7 @@ from authguard_r.site.model import Site
 from authguard_r.tools.body import Means, Rebuilds, ToolBody
 from authguard_r.tools.planner import Planner
 from authguard_r.tools.server import Server
+from authguard_r.wire.messages import Mode
 
 #: A gate and a server that are there are connected within this, in seconds.
 START_S = 30.0
@@ -79,11 +81,13 @@ class Ends:
         self._place = place
         self._server = server
         self.planner = Planner(
-            place.run,
-            place.robot,
-            client=place.client,
-            trust=place.trust,
-            shadow=place.shadow,
+            GatePlace(
+                robot=place.robot,
+                run=place.run,
+                trust=place.trust,
+                client=place.client,
+                mode=Mode.SHADOW if place.shadow else Mode.ENFORCE,
+            )
         )
         means = Means(
             site=place.site,

@@ -12,18 +12,16 @@ import base64
 import binascii
 import json
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 from msgspec import Struct
 
 from authguard_r.client import AsyncGateClient
-from authguard_r.client.greeting import GateVerifier
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError, RefusedError
-from authguard_r.core.identifiers import RobotId
+from authguard_r.client.keeping import GatePlace, KeptGate
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import UNTOLD
-from authguard_r.wire.messages import ClientRole, Mode
+from authguard_r.wire.messages import ClientRole
 
 #: Characters that are noted at a time.
 MAX_NOTED = 30_000
@@ -93,30 +91,21 @@ class Planner:
     """Proposes calls to a gate.
 
     Args:
-        run: the gate's run folder.
-        robot: whose gate it must be.
-        client: the planner's name in the log.
-        trust: reads the trust root, for each connection anew.
-        shadow: it has to be a gate in shadow mode.
+        place: which gate.
     """
 
-    def __init__(
-        self,
-        run: Path,
-        robot: RobotId,
-        *,
-        client: str,
-        trust: Callable[[], GateVerifier],
-        shadow: bool,
-    ) -> None:
+    def __init__(self, place: GatePlace) -> None:
         self.turn = asyncio.Lock()  # first come, first served; a gate takes one of a client
-        self._run, self._robot, self._client = run, robot, client
-        self._trust, self._shadow = trust, shadow
-        self._gate: AsyncGateClient | None = None
+        self._kept = KeptGate(place, ClientRole.PLANNER)
         self._is_over = False
 
     async def propose(
-        self, tool: str, arguments: dict[str, Any], *, key: str | None = None
+        self,
+        tool: str,
+        arguments: dict[str, Any],
+        *,
+        key: str | None = None,
+        told: Callable[[dict[str, Any]], None] | None = None,
     ) -> Asked:
         """Propose a call; whoever calls this holds the `turn`.
 
@@ -124,6 +113,7 @@ class Planner:
             tool: its name, as the planner wrote it; untrusted.
             arguments: as it wrote them; untrusted.
             key: names the proposal, so that asking again is the same one.
+            told: called with each thing that the gate tells before the answer.
 
         Raises:
             MalformedError: they are no JSON.
@@ -137,14 +127,20 @@ class Planner:
             raise MalformedError("not JSON", where="arguments") from error
         gate = await self.connected()
         brought: list[dict[str, Any]] = []
+
+        def hear(item: dict[str, Any]) -> None:
+            brought.append(item)
+            if told is not None:
+                told(item)
+
         try:
-            told = await gate.propose(data, key=key, dialect="json", on_step=brought.append)
+            answer = await gate.propose(data, key=key, dialect="json", on_step=hear)
         except AuthGuardError as error:
             if not gate.is_open:
                 raise LostError(error) from error
             raise
-        (step, *_) = told["steps"]
-        return Asked(step=step, brought=tuple(brought), repeated=told["repeated"])
+        (step, *_) = answer["steps"]
+        return Asked(step=step, brought=tuple(brought), repeated=answer["repeated"])
 
     async def unreadable(self, tool: str, text: str) -> None:
         """Hand in what was written for a call and is none: the gate refuses it, and logs that.
@@ -180,31 +176,9 @@ class Planner:
         """
         if self._is_over:
             raise EnvironmentFault("this end was closed", reason=Reason.CONTROLLER_FAILED)
-        if self._gate is not None and not self._gate.is_open:
-            await self._let_go()
-        if self._gate is None:
-            gate = await AsyncGateClient.connect(
-                self._run / "gate.sock",
-                role=ClientRole.PLANNER,
-                client=self._client,
-                verifier=self._trust(),
-                robot=self._robot,
-                allow_shadow=self._shadow,
-            )
-            if self._shadow and gate.welcome.mode is not Mode.SHADOW:
-                await gate.close()
-                raise RefusedError(
-                    "the gate enforces: calls do not go past it", reason=Reason.ROLE_DENIED
-                )
-            self._gate = gate
-        return self._gate
+        return await self._kept.connected()
 
     async def close(self) -> None:
         """Let go of the gate for good: who still waits for a turn asks nothing."""
         self._is_over = True
-        await self._let_go()
-
-    async def _let_go(self) -> None:
-        gate, self._gate = self._gate, None
-        if gate is not None:
-            await gate.close()
+        await self._kept.close()

@@ -81,13 +81,21 @@ class Server(Protocol):
         """True while a call could be carried out."""
         ...
 
-    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+    async def call(
+        self,
+        tool: str,
+        arguments: dict[str, Any],
+        within_s: float,
+        *,
+        ticket: Digest | None = None,
+    ) -> Answer:
         """Carry out a call; canceled, it is called off as far as that can be done.
 
         Args:
             tool: its name in the binding.
             arguments: rebuilt from what was authorized.
             within_s: longest time to wait.
+            ticket: of the release that it is made for; None: it stops the robot.
 
         Raises:
             CallError: no answer came.

@@ -12,13 +12,14 @@ from typing import Any
 import pytest
 
 import worlds
+from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log
 from authguard_r.core.identifiers import Identifier
 from authguard_r.http import edge, link
 from authguard_r.http.app import _as
 from authguard_r.http.clients import Doorkeeper
 from authguard_r.http.edge import Edge
-from authguard_r.http.link import AwayError, GateLink, Where
+from authguard_r.http.link import AwayError, GateLink
 from authguard_r.http.messages import Status
 from authguard_r.keys.trust import read_trust
 from authguard_r.listening import listening
@@ -85,7 +86,7 @@ def test_what_the_gate_says_in_another_shape_is_no_answer() -> None:
 def test_nobody_waits_for_a_turn_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link, "WAIT_S", 0.01)
     monkeypatch.setattr(link, "AT_ONCE", 0)
-    where = Where(
+    where = GatePlace(
         robot=worlds.RID,
         run=tmp_path,
         trust=lambda: read_trust(worlds.trust_folder()),

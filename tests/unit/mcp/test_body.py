@@ -66,8 +66,9 @@ def test_what_no_tool_carries_is_not_begun() -> None:
         site, binding = worlds.site(), worlds.binding()
         means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
         body = ToolBody(worlds.RID, server, means, lambda: None)
+        wrong = replace(worlds.navigate("dock", "pharmacy"), tool="no_such_tool")
         with pytest.raises(ControllerError):
-            body.begin(replace(worlds.navigate("dock", "pharmacy"), tool="no_such_tool"))
+            body.begin(wrong, worlds.TICKET)
         body.brake()  # nothing was ever begun
         assert body.stands
 
@@ -79,7 +80,7 @@ def test_a_brake_after_the_end_stops_nothing_a_second_time() -> None:
         site, binding = worlds.site(), worlds.binding()
         means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
         body = ToolBody(worlds.RID, server, means, lambda: None)
-        flight = body.begin(worlds.navigate("dock", "pharmacy"))
+        flight = body.begin(worlds.navigate("dock", "pharmacy"), worlds.TICKET)
         await until(lambda: flight.outcome() is not None)
         ended = flight.outcome()
         body.brake()

@@ -30,7 +30,9 @@ class Silent:
 
     ready = True
 
-    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+    async def call(
+        self, tool: str, arguments: dict[str, Any], within_s: float, *, ticket: str | None = None
+    ) -> Answer:
         raise CallError("nobody listens", sent=False)
 
 
@@ -43,7 +45,10 @@ class Robot:
         self.words = words
         self.calls: list[str] = []
 
-    async def call(self, tool: str, arguments: dict[str, Any], within_s: float) -> Answer:
+    async def call(
+        self, tool: str, arguments: dict[str, Any], within_s: float, *, ticket: str | None = None
+    ) -> Answer:
+        assert ticket == (TICKET if tool == "navigate_to" else None)
         self.calls.append(tool)
         left = self.words[tool]
         word = left.pop(0) if len(left) > 1 else left[0]
@@ -57,7 +62,7 @@ class Robot:
 
 DONE, ERROR = Answer(is_error=False), Answer(is_error=True)
 LOST = CallError("nobody answers", sent=True)
-GO = worlds.navigate("dock", "pharmacy")
+GO, TICKET = worlds.navigate("dock", "pharmacy"), worlds.TICKET
 
 
 def body_of(robot: Robot, *stops: str, demand: dict[str, Any] | None = None) -> ToolBody:
@@ -90,11 +95,11 @@ def test_a_move_that_did_not_arrive_is_stopped_before_anybody_is_told() -> None:
     async def talk() -> None:
         robot = Robot(navigate_to=[ERROR], say=[DONE])
         body = body_of(robot, "say")
-        flight = body.begin(GO)
+        flight = body.begin(GO, TICKET)
         await until(lambda: flight.outcome() is not None)
         assert (flight.outcome(), body.stands) == (Outcome.FAILED, True)
         assert robot.calls == ["navigate_to", "say"]
-        body.begin(GO)  # and goes on
+        body.begin(GO, TICKET)  # and goes on
 
     asyncio.run(talk())
 
@@ -102,13 +107,13 @@ def test_a_move_that_did_not_arrive_is_stopped_before_anybody_is_told() -> None:
 def test_without_stop_calls_a_move_that_did_not_arrive_leaves_a_doubt() -> None:
     async def talk() -> None:
         body = body_of(Robot(navigate_to=[ERROR, DONE]))
-        flight = body.begin(GO)
+        flight = body.begin(GO, TICKET)
         await until(lambda: flight.outcome() is not None)
         assert not body.stands
         body.brake()
         await asyncio.sleep(0.05)
         assert not body.stands
-        flight = body.begin(GO)
+        flight = body.begin(GO, TICKET)
         await until(lambda: flight.outcome() is not None)
         assert body.stands  # it arrived
 
@@ -119,11 +124,11 @@ def test_a_server_that_is_lost_in_motion_is_told_to_stop_until_it_says_so() -> N
     async def talk() -> None:
         robot = Robot(navigate_to=[LOST], say=[LOST, ERROR, DONE])
         body = body_of(robot, "say")
-        flight = body.begin(GO)
+        flight = body.begin(GO, TICKET)
         await until(lambda: flight.outcome() is not None)
         assert flight.outcome() is Outcome.UNKNOWN
         with pytest.raises(ControllerError, match="being stopped"):
-            body.begin(GO)
+            body.begin(GO, TICKET)
         body.brake()  # it is at it already
         await until(lambda: body.stands)
         assert robot.calls == ["navigate_to", "say", "say", "say"]
@@ -135,7 +140,7 @@ def test_a_stop_that_failed_once_is_tried_again() -> None:
     async def talk() -> None:
         robot = Robot(navigate_to=[None], say=[LOST, LOST, DONE])
         body = body_of(robot, "say")
-        flight = body.begin(GO)
+        flight = body.begin(GO, TICKET)
         await until(lambda: robot.calls)
         body.brake()
         await until(lambda: flight.outcome() is not None)
@@ -151,7 +156,7 @@ def test_what_the_binding_demands_of_a_stop_call_has_to_stand_in_its_answer() ->
         no, yes = (Answer(is_error=False, structured={"ok": ok}) for ok in (False, True))
         robot = Robot(navigate_to=[None], say=[no, yes])
         body = body_of(robot, "say", demand={"ok": True})
-        body.begin(GO)
+        body.begin(GO, TICKET)
         await until(lambda: robot.calls)
         body.brake()
         await until(lambda: body.stands)
@@ -181,7 +186,7 @@ def test_who_lets_go_in_mid_motion_stops_first_and_does_not_wait_for_ever(
         for said, stands in ((DONE, True), (None, False)):
             robot = Robot(navigate_to=[None], say=[said])
             body = body_of(robot, "say")
-            body.begin(GO)
+            body.begin(GO, TICKET)
             await until(lambda robot=robot: robot.calls)  # type: ignore[misc]
             await body.let_go()
             assert robot.calls[:2] == ["navigate_to", "say"]
@@ -210,7 +215,7 @@ def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
             rebuilder=Rebuilder(worlds.site(), worlds.binding()),
         )
         body = ToolBody(worlds.RID, Silent(), means, ended.set)
-        flight = body.begin(worlds.navigate("dock", "pharmacy"))
+        flight = body.begin(GO, TICKET)
         assert not body.stands
         await ended.wait()
         assert flight.outcome() is Outcome.NOT_STARTED
