@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from typing import Any
 
 import mcp_types as types
 
@@ -45,16 +46,19 @@ def answer_of(content: bytes) -> types.CallToolResult:
 
 
 def texts_of(result: types.CallToolResult) -> Iterator[str]:
-    """Yield every word that a model could read; of a picture, that there is one."""
+    """Yield every word that a model could read; of a picture or a sound, that there is one."""
     for item in result.content:
-        if isinstance(item, types.TextContent):
-            yield item.text
-        elif isinstance(item, types.EmbeddedResource):
-            yield str(item.resource.uri)
-            yield getattr(item.resource, "text", "")
-        elif isinstance(item, types.ResourceLink):
-            yield f"{item.uri} {item.name} {item.description or ''}"
-        else:
-            yield ""
+        yield from _words(item.model_dump(mode="json", by_alias=True, exclude_none=True))
     if result.structured_content is not None:
         yield json.dumps(result.structured_content, ensure_ascii=False)
+
+
+def _words(fields: dict[str, Any]) -> Iterator[str]:
+    """Yield what stands in an item, title and media type too: its server wrote all of it."""
+    for name, value in fields.items():
+        if name in {"data", "blob"}:
+            yield ""
+        elif name == "resource":
+            yield from _words(value)
+        elif name != "type":  # the protocol's own word
+            yield value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -37,12 +37,13 @@ def guarded(app: App, token: bytes) -> App:
     """Return the application for those who show the token; anybody else has 401 and no more."""
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http" and not shows(scope["headers"], token):
-            headers = [(b"www-authenticate", b"Bearer"), (b"content-length", b"0")]
-            await send({"type": "http.response.start", "status": 401, "headers": headers})
-            await send({"type": "http.response.body", "body": b""})
+        kind = scope["type"]
+        if kind == "lifespan" or (kind == "http" and shows(scope["headers"], token)):
+            await app(scope, receive, send)
             return
-        await app(scope, receive, send)
+        headers = [(b"www-authenticate", b"Bearer"), (b"content-length", b"0")]
+        await send({"type": "http.response.start", "status": 401, "headers": headers})
+        await send({"type": "http.response.body", "body": b""})
 
     return serve
 
@@ -56,6 +57,10 @@ async def serve_http(front: Front, made: socket.socket, token: bytes) -> None:
         max_sessions=SESSIONS,
     )
     config = uvicorn.Config(
-        guarded(app, token), log_level="warning", lifespan="on", timeout_graceful_shutdown=END_S
+        guarded(app, token),
+        log_level="warning",
+        lifespan="on",
+        ws="none",
+        timeout_graceful_shutdown=END_S,
     )
     await serve_until_told(config, made)

@@ -145,6 +145,7 @@ class Upstream:
                 found = pins_of(await _tools(client))
                 opening.deadline = math.inf
                 if self.pins is None:
+                    self._log.say("unpinned", "pins", message="taken as it is: give --pins")
                     self.pins = found
                 differing = self.pins.differ(found)
                 if differing:

@@ -82,3 +82,5 @@ def test_only_the_one_right_token_gets_through() -> None:
     for wrong in ((), (TOKEN,), (b"bearer " + TOKEN,), (right[:-1],), (right, right), (b"",)):
         assert status(*wrong) == 401
     assert status(kind="lifespan") is None
+    for kind in ("websocket", ""):
+        assert status(right, kind=kind) == 401
