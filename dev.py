@@ -121,7 +121,7 @@ def lock(arguments: list[str]) -> int:
     command = ["uv", "pip", "compile", "pyproject.toml"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
     names = ("drafting", "frost", "http", "langchain", "llm", "mcp", "openai-agents", "pkcs11")
-    extras = [f"--extra={name}" for name in (*names, "pydantic-ai")]
+    extras = [f"--extra={name}" for name in (*names, "pydantic-ai", "ros")]
     everything = [*extras, "--group", "dev", "--group", "bench"]
     first = run([*command, *everything, *how, "-o", LOCK.name, *arguments])
     first = first or run([*command, *how, "-c", LOCK.name, "-o", str(GATE_LOCK), *arguments])

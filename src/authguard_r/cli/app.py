@@ -43,6 +43,7 @@ from authguard_r.cli import (
     replay,
     risk_policy,
     robot,
+    ros,
     run,
     safety_config,
     segments,
@@ -120,4 +121,5 @@ audit.app.command("shred")(shred.shred_command)
 audit.app.command("explain")(log_explain.explain_command)
 app.add_typer(audit.app, name="audit")
 app.add_typer(frost.app, name="frost")
+app.add_typer(ros.app, name="ros")
 app.add_typer(witness.app, name="witness")

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard ros`: what a robot on ROS 2 needs beside its gate; needs no ROS.
+
+How-to: docs/howto/ros.md
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from msgspec import to_builtins
+
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.out import emit
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.ros.map import RosMap, read_map
+
+if TYPE_CHECKING:
+    from authguard_r.ros.keycheck import Fault
+
+app = typer.Typer(help="ROS 2: the map, its keystore, and what they let through.")
+MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="The robot's ROS map.")]
+
+
+@app.command("keystore")
+def keystore_command(
+    ros_map: MapArgument,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or empty folder.")],
+    as_json: JsonFlag = False,
+) -> int:
+    """Write a keystore: for each process of the map a key, and the rights that the map gives it.
+
+    Each enclave's folder is for one process and its Unix user. The folder `private` has the keys
+    of both authorities: keep it off the robot.
+    """
+    ros = read_map(ros_map)
+    _require_extra()
+    from authguard_r.ros.keycheck import check_keystore
+    from authguard_r.ros.keystore import ENCLAVES, PRIVATE, make_keystore
+
+    enclaves = make_keystore(ros, folder)
+    left = check_keystore(ros, folder)
+    if left:  # what was written is read again, by other code than wrote it
+        raise MalformedError(f"the keystore is not sound: {left[0].message}", where=left[0].where)
+    payload = {
+        "keystore": str(folder),
+        "domain": ros.domain,
+        "enclaves": list(enclaves),
+        "authorities": str(folder / PRIVATE),
+    }
+    lines = [
+        f"keystore for {ros.robot}, domain {ros.domain}: {folder}",
+        *(f"  {folder / ENCLAVES}{enclave}" for enclave in enclaves),
+        f"both authorities' keys are in {folder / PRIVATE}: keep them off the robot",
+    ]
+    emit(payload, lines, as_json=as_json)
+    return 0
+
+
+@app.command("check")
+def check_command(
+    ros_map: MapArgument,
+    keystore: Annotated[
+        Path | None, typer.Option("--keystore", help="The keystore that its processes start from.")
+    ] = None,
+    enclave: Annotated[
+        str | None,
+        typer.Option("--enclave", help="Look at this shell's variables, as its process."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Say whether the gate's process alone can move the robot, and what stands against it.
+
+    With --keystore every enclave that lies there is read: exit 1 when one of them could publish,
+    serve or call what moves the robot, or when its documents are not signed, open or too wide.
+    """
+    ros = read_map(ros_map)
+    faults: list[Fault] = []
+    if keystore is not None or enclave is not None:
+        _require_extra()
+        from authguard_r.ros.keycheck import check_keystore
+        from authguard_r.ros.security import security_faults
+
+        faults += check_keystore(ros, keystore) if keystore is not None else ()
+        faults += security_faults(ros, enclave, os.environ) if enclave is not None else ()
+    payload = {
+        "robot": str(ros.robot),
+        "domain": ros.domain,
+        "mediated": {key: item.private for key, item in ros.mediated.items()},
+        "keystore": None if keystore is None else str(keystore),
+        "faults": [to_builtins(fault) for fault in faults],
+    }
+    emit(payload, _lines(ros, faults, looked=keystore is not None), as_json=as_json)
+    return 1 if faults else 0
+
+
+def _lines(ros: RosMap, faults: Iterable[Fault], *, looked: bool) -> Iterator[str]:
+    yield f"{ros.robot}, domain {ros.domain}"
+    for key, item in ros.mediated.items():
+        yield f"  {key}: {item.kind} {item.public} -> {item.private} ({item.by})"
+    found = list(faults)
+    for fault in found:
+        yield f"{fault.code}: {fault.message} (at {fault.where})"
+    if looked and not found:
+        yield f"of every enclave there, {ros.enclaves.gate} alone can move the robot"
+    elif not looked:
+        yield "no keystore given: nothing shows who can move the robot"
+
+
+def _require_extra() -> None:
+    if find_spec("asn1crypto") is None or find_spec("defusedxml") is None:
+        raise EnvironmentFault(
+            "keystores need the extra: pip install 'authguard-r[ros]'",
+            reason=Reason.STORE_UNAVAILABLE,
+            where="defusedxml",
+        )

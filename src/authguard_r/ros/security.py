@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a process of ours really runs in its enclave: looked at before the first node is made.
+
+ROS 2 takes a wrong word for no word and goes on without security: `TRUE`, `enforce`, a variable
+that is not set, a folder that is not there. Each is a refusal here.
+Spec page: docs/spec/ros.md#self-check
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.reasons import Reason
+from authguard_r.ros.keycheck import Code, Fault, check_enclave
+from authguard_r.ros.keystore import ENCLAVES, KEY
+from authguard_r.ros.map import RosMap
+
+ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
+KEYSTORE, OVERRIDE = "ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
+DOMAIN = "ROS_DOMAIN_ID"
+#: The only words that ROS 2 takes for security that is enforced.
+EXACTLY = {ENABLE: "true", STRATEGY: "Enforce"}
+
+
+def require_security(ros: RosMap, enclave: str, environment: Mapping[str, str]) -> Path:
+    """Return the keystore that this process's nodes are going to be made with.
+
+    Args:
+        ros: the map.
+        enclave: which one the process has to be in.
+        environment: its variables.
+
+    Raises:
+        EnvironmentFault: its nodes would be plain ones, or another's; the first fault is named.
+    """
+    for fault in security_faults(ros, enclave, environment):
+        raise EnvironmentFault(
+            f"{fault.message}; without it ROS 2 makes a node that anybody can be",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=fault.where,
+        )
+    return Path(environment[KEYSTORE])
+
+
+def security_faults(ros: RosMap, enclave: str, environment: Mapping[str, str]) -> Iterator[Fault]:
+    """Yield why a process with these variables would not be in its enclave."""
+    for name, wanted in (*EXACTLY.items(), (DOMAIN, str(ros.domain))):
+        said = environment.get(name)
+        if said != wanted:
+            got = "nothing" if said is None else f"`{said}`"
+            yield _fault(name, f"expected exactly `{wanted}`, got {got}")
+    if environment.get(OVERRIDE, enclave) != enclave:
+        yield _fault(OVERRIDE, f"expected `{enclave}` or nothing, got `{environment[OVERRIDE]}`")
+    keystore = environment.get(KEYSTORE, "")
+    if not keystore.startswith("/"):
+        yield _fault(KEYSTORE, f"expected an absolute path, got `{keystore}`")
+        return
+    home = Path(keystore) / ENCLAVES / enclave.removeprefix("/")
+    if not home.is_dir():
+        yield _fault(KEYSTORE, f"expected the enclave's folder `{home}`")
+        return
+    yield from _key_faults(home / KEY)
+    yield from check_enclave(ros, Path(keystore), enclave)
+
+
+def _key_faults(path: Path) -> Iterator[Fault]:
+    """Yield why the key is not this user's alone."""
+    try:
+        held = path.stat()
+    except OSError as error:
+        yield _fault(str(path), f"expected the enclave's key: {error.strerror}")
+        return
+    if stat.S_IMODE(held.st_mode) & 0o077 or held.st_uid != os.geteuid():
+        yield _fault(str(path), "expected a key that this user owns and nobody else can read")
+
+
+def _fault(where: str, message: str) -> Fault:
+    return Fault(code=Code.PLAIN, where=where, message=message)
