@@ -117,10 +117,11 @@ def check_keystore(ros: RosMap, folder: Path, *, now: datetime | None = None) ->
     for name, home in homes.items():
         try:
             enclave = _opened(name, home)
-            public.append(enclave)
-            found += _enclave_faults(enclave, ca, ros, rights.get(name), moment)
         except AuthGuardError as error:
             found.append(_unread(error, name))
+            continue
+        public.append(enclave)
+        found += _enclave_faults(enclave, ca, ros, rights.get(name), moment)
     return (*found, *_shared(public))
 
 
@@ -139,19 +140,26 @@ def check_enclave(
     wanted = rights_of(ros).get(name)
     try:
         enclave, ca = _opened(name, home), _authorities(folder)
-        return tuple(_enclave_faults(enclave, ca, ros, wanted, moment))
     except AuthGuardError as error:
         return (_unread(error, name),)
+    return tuple(_enclave_faults(enclave, ca, ros, wanted, moment))
 
 
 def _enclave_faults(
     enclave: _Enclave, ca: _Authorities, ros: RosMap, wanted: Rights | None, now: datetime
 ) -> list[Fault]:
-    return [
-        *_identity(enclave, ca, now),
-        *_governed(enclave, ca, ros),
-        *_permitted(enclave, ca, ros, wanted, now),
-    ]
+    """Return what is wrong with each part, whatever is wrong with the others."""
+    found: list[Fault] = []
+    for part in (
+        _identity(enclave, ca, now),
+        _governed(enclave, ca, ros),
+        _permitted(enclave, ca, ros, wanted, now),
+    ):
+        try:
+            found += list(part)
+        except AuthGuardError as error:
+            found.append(_unread(error, enclave.name))
+    return found
 
 
 def _opened(name: str, home: Path) -> _Enclave:

@@ -17,7 +17,7 @@ from msgspec import Struct, field
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.ros.names import Part, is_below, is_enclave, is_name, part_of
-from authguard_r.site.strict import convert, read_text, read_yaml
+from authguard_r.site.strict import convert, read_text, read_yaml, require_each
 
 SCHEMA = "authguard-r/ros-map/1"
 #: Everything that a planner may publish, call or read is below this.
@@ -183,6 +183,9 @@ class RosMap(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     heartbeat: str = "/authguard/heartbeat"
 
 
+_GROUPS: dict[str, type[Struct]] = {"mediated": Mediated, "shown": Shown, "processes": Process}
+
+
 def read_map(path: Path) -> RosMap:
     """Return the map in a file.
 
@@ -199,7 +202,10 @@ def parse_map(text: str, *, where: str) -> RosMap:
     Raises:
         MalformedError: as `read_map`.
     """
-    found: RosMap = convert(read_yaml(text, where=where), RosMap, where=where)
+    data = read_yaml(text, where=where)
+    for group, kind in _GROUPS.items():
+        require_each(data, group, kind, where=where)
+    found: RosMap = convert(data, RosMap, where=where)
     for place, message in faults(found):
         raise MalformedError(message, where=f"{where}:{place}")
     return found
@@ -209,8 +215,6 @@ def faults(ros: RosMap) -> Iterator[tuple[str, str]]:
     """Yield every fault of a map as its place and what was expected there."""
     if ros.schema != SCHEMA:
         yield "schema", f"expected `{SCHEMA}`"
-    if not is_identifier(ros.robot):
-        yield "robot", "expected an id of a-z, 0-9 and `_.:-`"
     if not 0 <= ros.domain <= MAX_DOMAIN:
         yield "domain", f"expected 0 to {MAX_DOMAIN}"
     if not ros.mediated:
@@ -284,9 +288,12 @@ def _enclaves(ros: RosMap) -> Iterator[tuple[str, str]]:
 
 
 def _types(ros: RosMap) -> Iterator[tuple[str, str]]:
-    for key in (*ros.mediated, *ros.shown):
+    for group, key in (
+        *(("mediated", key) for key in ros.mediated),
+        *(("shown", key) for key in ros.shown),
+    ):
         if not is_identifier(key):
-            yield key, "expected an id of a-z, 0-9 and `_.:-`"
+            yield f"{group}.{key}", "expected an id of a-z, 0-9 and `_.:-`"
     for key, item in ros.mediated.items():
         wanted = _PARTS[item.kind]
         if part_of(item.type) is not wanted:

@@ -112,6 +112,7 @@ def actuating(ros: RosMap) -> dict[str, frozenset[str]]:
                 asks, serves = _service(f"{node}/{service}")
                 _allow(found, asks)
                 _allow(found, serves, enclave)
+    for enclave, process in ros.processes.items():
         for name in process.calls:  # whoever wrote the map stands behind it
             _allow(found, _service(name)[0], enclave, new=False)
     _allow(found, _writes(ros.heartbeat, ros.decisions), ros.enclaves.gate)

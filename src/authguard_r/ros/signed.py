@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signed XML of DDS Security: an S/MIME message with the text in the clear and a detached signature.
+"""Signed XML of DDS Security: an S/MIME message, its text in the clear, its signature apart.
 
 What DDS goes by is the text in the signed message, never a copy that lies beside it.
 Spec page: docs/spec/ros.md#keystore

@@ -15,7 +15,7 @@ from authguard_r.core.identifiers import is_identifier
 from authguard_r.site.check import faults
 from authguard_r.site.model import ActionModel, ObjectModel, Person, Region, Robot, Site
 from authguard_r.site.names import shown
-from authguard_r.site.strict import as_text, convert, read_text, read_yaml
+from authguard_r.site.strict import as_text, convert, read_text, read_yaml, require_each
 from authguard_r.site.words import with_words
 
 __all__ = [
@@ -57,18 +57,13 @@ def parse_site(text: str, *, where: str) -> Site:
 def _require_things(data: object, group: str, kind: type[Struct], *, where: str) -> None:
     """Raise for the first thing of a group that is none, naming it: thirty regions look alike."""
     things = data.get(group) if isinstance(data, dict) else None
-    for item, value in things.items() if isinstance(things, dict) else ():
+    for item in things if isinstance(things, dict) else ():
         if not isinstance(item, str) or not is_identifier(item):
             raise MalformedError(
                 f"expected an id of a-z, 0-9 and `_.:-`, got `{shown(str(item))}`",
                 where=f"{where}:{group}",
             )
-        try:
-            convert(value, kind, where="")
-        except MalformedError as error:
-            inner = error.where.replace(":", ".", 1)
-            place = f"{where}:{group}.{item}{inner}"
-            raise MalformedError(error.message, where=place) from error
+    require_each(data, group, kind, where=where)
 
 
 def require_sound(site: Site, *, where: str) -> Site:

@@ -156,3 +156,24 @@ def convert(data: object, kind: type[T], *, where: str) -> T:
         place = place.strip("`").removeprefix("$").removeprefix(".")
         joined = f"{where}:{place}" if place else where
         raise MalformedError(text[:1].lower() + text[1:], where=joined) from error
+
+
+def require_each(data: object, group: str, kind: type[msgspec.Struct], *, where: str) -> None:
+    """Require each thing of a group, by its name, to be one: thirty of them look alike.
+
+    Args:
+        data: plain data, of which one field is the group.
+        group: the field's name.
+        kind: what each thing is.
+        where: the file's name, for places in messages.
+
+    Raises:
+        MalformedError: with the name of the first that is none, and the place in it.
+    """
+    things = data.get(group) if isinstance(data, dict) else None
+    for name, value in things.items() if isinstance(things, dict) else ():
+        try:
+            convert(value, kind, where="")
+        except MalformedError as error:
+            inner = error.where.replace(":", ".", 1)
+            raise MalformedError(error.message, where=f"{where}:{group}.{name}{inner}") from error

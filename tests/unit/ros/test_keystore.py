@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A keystore lets the gate's process alone move the robot, or the check says who else could.
+
+Source: lessons L1, L7, L21; docs/spec/ros.md#check
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.ros.documents import governance, governance_faults, read_permissions
+from authguard_r.ros.keycheck import Code, Fault, check_enclave, check_keystore
+from authguard_r.ros.keystore import ENCLAVES, KEY, PRIVATE, PUBLIC, make_keystore
+from authguard_r.ros.rights import rights_of
+from keystores import NOW, example, home, map_of, plain_map, resign
+
+PLANNER, GATE, BASE = "/llm/planner", "/authguard/gate", "/robot/base"
+GOAL = "<topic>rt/llm/cmd_vel</topic>"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "keystore"
+    make_keystore(example(), folder)
+    return folder
+
+
+@pytest.fixture
+def keystore(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "keystore"))
+
+
+def found(keystore: Path) -> list[tuple[Code, str]]:
+    """Return what is wrong: the codes, and at which enclave."""
+    root = f"{keystore / ENCLAVES}"
+    faults = check_keystore(example(), keystore)
+    return [(fault.code, fault.where.removeprefix(root)) for fault in faults]
+
+
+def test_what_is_made_is_sound_and_for_every_enclave_of_the_map(keystore: Path) -> None:
+    assert found(keystore) == []
+    for enclave in rights_of(example()):
+        assert home(keystore, enclave).joinpath(KEY).stat().st_mode & 0o777 == 0o600
+    for key in (keystore / PRIVATE).iterdir():
+        assert key.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_keystore_is_never_written_over_another(keystore: Path) -> None:
+    with pytest.raises(EnvironmentFault, match="new or empty"):
+        make_keystore(example(), keystore)
+    blocked = keystore / "file"
+    blocked.write_text("")
+    with pytest.raises(EnvironmentFault, match="cannot make"):
+        make_keystore(example(), blocked / "x")
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["rt/cmd_vel", "*", "rt/*", "rt/cmd_???", "rt/[c]md_vel", "rt/cmd\\_vel", "r*l"],
+)
+def test_l21_whatever_pattern_could_reach_the_robot_is_found(keystore: Path, pattern: str) -> None:
+    resign(keystore, PLANNER, "permissions", {GOAL: f"<topic>{pattern}</topic>"})
+    assert (Code.ACTUATES, PLANNER) in found(keystore)
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "rq/navigate_to_pose/_action/send_goalRequest",
+        "rq/navigate_to_pose/_action/cancel_goalRequest",
+        "rr/navigate_to_pose/_action/get_resultReply",
+        "rt/navigate_to_pose/_action/feedback",
+        "rq/lightRequest",
+        "rr/lightReply",
+        "rq/controller_server/set_parametersRequest",
+        "rq/base/change_stateRequest",
+        "rt/authguard/heartbeat",
+        "rt/authguard/decisions",
+    ],
+)
+def test_l1_every_way_to_move_the_robot_is_one_that_is_found(keystore: Path, topic: str) -> None:
+    resign(keystore, PLANNER, "permissions", {GOAL: f"<topic>{topic}</topic>"})
+    codes = found(keystore)
+    assert (Code.ACTUATES, PLANNER) in codes
+    assert (Code.LACKS, PLANNER) in codes
+
+
+ALLOWS = "<allow_rule><domains><id>42</id></domains>"
+
+
+@pytest.mark.parametrize(
+    ("enclave", "change", "code"),
+    [
+        (PLANNER, {"<default>DENY": "<default>ALLOW"}, Code.ACTUATES),
+        (PLANNER, {"<default>DENY</default>": ""}, Code.ACTUATES),
+        (PLANNER, {"CN=/llm/planner": f"CN={GATE}"}, Code.FOREIGN),
+        (PLANNER, {GOAL: f"{GOAL}<topic>rt/goal_pose</topic>"}, Code.WIDER),
+        (PLANNER, {"<id>42</id>": "<id>43</id>"}, Code.LACKS),
+        (BASE, {"<topic>rt/cmd_vel</topic>": "<topic>rt/x</topic>"}, Code.LACKS),
+        (BASE, {"<permissions>": "<grants>", "</permissions>": "</grants>"}, Code.UNREADABLE),
+        (BASE, {"<?xml": "<!DOCTYPE dds [<!ENTITY a 'b'>]><?xml"}, Code.UNREADABLE),
+        (BASE, {"<not_after>": "<not_after>soon"}, Code.UNREADABLE),
+        (BASE, {"<not_after>2": "<not_after>1"}, Code.EXPIRED),
+    ],
+)
+def test_permissions_that_are_not_the_maps_are_found(
+    keystore: Path, enclave: str, change: dict[str, str], code: Code
+) -> None:
+    resign(keystore, enclave, "permissions", change)
+    codes = dict(found(keystore))
+    assert code in codes
+    assert codes[code].startswith(enclave)
+
+
+@pytest.mark.parametrize(
+    "domains",
+    ["<id_range><min>40</min><max>50</max></id_range>", "<id_range><min>0</min></id_range>", "x"],
+)
+def test_a_rule_is_for_every_domain_that_it_might_mean(keystore: Path, domains: str) -> None:
+    rule = f"<allow_rule><domains>{domains}</domains><publish><topics><topic>rt/cmd_vel</topic>"
+    rule += "</topics></publish></allow_rule>"
+    if domains == "x":
+        rule = rule.replace("<domains>x</domains>", "")
+    resign(keystore, PLANNER, "permissions", {ALLOWS: rule + ALLOWS})
+    assert (Code.ACTUATES, PLANNER) in found(keystore)
+
+
+def test_a_rule_that_nobody_can_read_is_for_every_domain(keystore: Path) -> None:
+    resign(
+        keystore, PLANNER, "permissions", {"<id>42</id>": "<id>all</id>", GOAL: "<topic>*</topic>"}
+    )
+    assert (Code.ACTUATES, PLANNER) in found(keystore)
+
+
+def test_a_rule_for_another_domain_moves_nothing_here(keystore: Path) -> None:
+    rule = ALLOWS.replace("42", "7") + "<publish><topics><topic>*</topic></topics></publish>"
+    resign(keystore, PLANNER, "permissions", {ALLOWS: rule + "</allow_rule>" + ALLOWS})
+    assert found(keystore) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<enable_join_access_control>true", "<enable_join_access_control>false"),
+        ("<allow_unauthenticated_participants>false", "<allow_unauthenticated_participants>TRUE"),
+        ("<allow_unauthenticated_participants>false", "<allow_unauthenticated_participants>1"),
+        ("<enable_write_access_control>true", "<enable_write_access_control>0"),
+        ("<data_protection_kind>ENCRYPT", "<data_protection_kind>NONE"),
+        ("<rtps_protection_kind>SIGN</rtps_protection_kind>", ""),
+        ("<topic_expression>*", "<topic_expression>rt/odom"),
+    ],
+)
+def test_a_governance_that_lets_more_in_is_found(keystore: Path, old: str, new: str) -> None:
+    resign(keystore, BASE, "governance", {old: new})
+    assert (Code.OPEN, BASE) in found(keystore)
+
+
+def test_a_truth_value_is_read_as_xml_means_it() -> None:
+    said = governance(42).replace(b">true<", b">1<").replace(b">false<", b">0<")
+    assert list(governance_faults(said, domain=42, where="x")) == []
+    for wrong in (b"<dds/>", b"<x", governance(7)):
+        with pytest.raises(MalformedError):
+            list(governance_faults(wrong, domain=42, where="x"))
+    with pytest.raises(MalformedError):
+        read_permissions(b"<dds/>", domain=42, where="x")
+
+
+def copied(keystore: Path, name: str) -> None:
+    """Give the planner a file of the gate's."""
+    shutil.copy(home(keystore, GATE) / name, home(keystore, PLANNER) / name)
+
+
+def swapped(keystore: Path) -> None:
+    """Put another authority's certificate into an enclave."""
+    other = keystore / PUBLIC / "permissions_ca.cert.pem"
+    shutil.copy(other, home(keystore, BASE) / "identity_ca.cert.pem")
+
+
+def edited(keystore: Path) -> None:
+    """Change permissions without the authority's key."""
+    path = home(keystore, PLANNER) / "permissions.p7s"
+    path.write_bytes(path.read_bytes().replace(b"rt/llm/cmd_vel", b"rt/cmd_vel"))
+
+
+Break = Callable[[Path], object]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "where"),
+    [
+        (lambda k: shutil.rmtree(home(k, BASE)), Code.MISSING, BASE),
+        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), Code.FOREIGN, "/old"),
+        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), Code.ACTUATES, "/old"),
+        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), Code.SHARED, "/old"),
+        (lambda k: home(k, BASE).joinpath(KEY).chmod(0o640), Code.EXPOSED, BASE),
+        (lambda k: copied(k, KEY), Code.FOREIGN, PLANNER),
+        (lambda k: copied(k, "permissions.p7s"), Code.FOREIGN, PLANNER),
+        (lambda k: home(k, BASE).joinpath(KEY).write_text("x"), Code.UNREADABLE, f"{BASE}/{KEY}"),
+        (lambda k: home(k, BASE).joinpath("cert.pem").write_text("x"), Code.UNREADABLE, BASE),
+        (lambda k: home(k, BASE).joinpath("governance.p7s").unlink(), Code.UNREADABLE, BASE),
+        (swapped, Code.FOREIGN, BASE),
+        (edited, Code.FORGED, PLANNER),
+    ],
+)
+def test_an_enclave_that_is_not_what_it_says_is_found(
+    keystore: Path, spoil: Break, code: Code, where: str
+) -> None:
+    spoil(keystore)
+    assert any(got == code and at.startswith(where) for got, at in found(keystore)), found(keystore)
+
+
+def test_an_enclave_of_another_authority_is_found(keystore: Path, tmp_path: Path) -> None:
+    make_keystore(example(), tmp_path / "other")
+    shutil.rmtree(home(keystore, GATE))
+    shutil.copytree(home(tmp_path / "other", GATE), home(keystore, GATE))
+    codes = [code for code, _ in found(keystore)]
+    assert Code.FOREIGN in codes
+    assert Code.FORGED in codes
+
+
+def test_what_has_ended_is_found(keystore: Path) -> None:
+    later = NOW + timedelta(days=400)
+    codes = {fault.code for fault in check_keystore(example(), keystore, now=later)}
+    assert codes == {Code.EXPIRED}
+
+
+def test_keys_may_lie_with_their_processes(keystore: Path) -> None:
+    for enclave in rights_of(example()):
+        home(keystore, enclave).joinpath(KEY).unlink()
+    assert found(keystore) == []
+
+
+def test_a_map_that_moved_on_is_found(keystore: Path) -> None:
+    plain = plain_map()
+    plain["mediated"]["light"]["private"] = "/lamp"
+    codes = {fault.code for fault in check_keystore(map_of(plain), keystore)}
+    assert codes == {Code.LACKS, Code.WIDER}
+
+
+def test_what_is_no_keystore_is_said_so(keystore: Path) -> None:
+    with pytest.raises(EnvironmentFault, match="expected a keystore"):
+        check_keystore(example(), keystore / "nothing")
+    (keystore / PUBLIC / "identity_ca.cert.pem").unlink()
+    with pytest.raises(EnvironmentFault):
+        check_keystore(example(), keystore)
+    (fault,) = check_enclave(example(), keystore, GATE)
+    assert isinstance(fault, Fault)
+    assert fault.code is Code.UNREADABLE
