@@ -49,7 +49,9 @@ CLIENT = """#!{python} -IS
 import os, socket, sys
 link = socket.socket(socket.AF_UNIX)
 link.connect({address!r})
-socket.send_fds(link, ["\\0".join([os.getcwd(), *sys.argv[1:]]).encode()], [0, 1, 2])
+said = ["=".join(item) for item in os.environ.items() if item[0].startswith("ROS_")]
+words = [os.getcwd(), "\\1".join(said), *sys.argv[1:]]
+socket.send_fds(link, ["\\0".join(words).encode()], [0, 1, 2])
 sys.exit(int(link.recv(16) or 99))
 """
 
@@ -161,7 +163,8 @@ def serve(address: str) -> None:
         if os.fork() == 0:
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             threading.Thread(target=end_with, args=(link,), daemon=True).start()
-            folder, *words = data.decode().split("\0")
+            folder, said, *words = data.decode().split("\0")
+            os.environ.update(item.split("=", 1) for item in said.split("\1") if item)
             os.chdir(folder)
             for number, file in enumerate(files):
                 os.dup2(file, number)
