@@ -138,6 +138,7 @@ class Actuator:
             self._drive(velocity)
         except Exception as error:  # noqa: BLE001 - not ours, and a stop may not end with it
             self._latch.stop(Why.DRIVER)
+            self._told_ns = 0  # at the next look
             self._log.say("driver failed", self._topic, message=repr(error))
 
     def _say(self) -> None:
@@ -187,7 +188,8 @@ def main(words: list[str] | None = None) -> int:
 
         return ros, item.by, build
 
-    return run_node("authguard_actuator", sys.argv[1:] if words is None else words, ready)
+    given = sys.argv[1:] if words is None else words
+    return run_node("authguard_actuator", given, ("MAP", "NAME", "TOPIC"), ready)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from action_msgs.srv import CancelGoal
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import UInt64
@@ -46,7 +47,9 @@ class Canceler:
     def __init__(self, node: Node, action: str, log: Log) -> None:
         self._action = action
         self._log = log
-        self._client = node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
+        self._client: Client[CancelGoal.Request, CancelGoal.Response] = node.create_client(
+            CancelGoal, f"{action}/_action/cancel_goal"
+        )
         self._asked: Future[CancelGoal.Response] | None = None
         self._asked_ns = 0
         self._due_ns = 0
@@ -74,10 +77,10 @@ class Canceler:
             self._asked.add_done_callback(self._answered)
 
     def _answered(self, asked: Future[CancelGoal.Response]) -> None:
-        if asked is not self._asked:
+        answer = asked.result()
+        if self._asked is not asked:
             return
         self._asked = None
-        answer = asked.result()
         if answer is None or answer.return_code == CancelGoal.Response.ERROR_REJECTED:
             self._log.say("not canceled", self._action)
             self._due_ns = self._asked_ns + AGAIN_MS * MS
@@ -163,7 +166,8 @@ def main(words: list[str] | None = None) -> int:
         ros = read_map(Path(path))
         return ros, ros.enclaves.deadman, partial(_built, ros)
 
-    return run_node("authguard_deadman", sys.argv[1:] if words is None else words, ready)
+    given = sys.argv[1:] if words is None else words
+    return run_node("authguard_deadman", given, ("MAP",), ready)
 
 
 def _built(ros: RosMap, node: Node) -> Deadman:

@@ -218,7 +218,7 @@ def listen(
     """
     require_name(node, topic)
 
-    def take(message: Any, about: Mapping[str, Any]) -> None:  # noqa: ANN401 - of any type
+    def take(message: Any, about: Mapping[str, Any]) -> None:
         named = about.get("publisher_gid")
         heard(message, b"" if named is None else bytes(named["data"]))
 
@@ -261,11 +261,11 @@ def _events(lost: Callable[[Why], None]) -> SubscriptionEventCallbacks:
     twenty seconds. So a match that is new counts, and the end of the last one.
     """
 
-    def changed(event: Any) -> None:  # noqa: ANN401 - rclpy has no stub for it
-        if event.alive_count == 0:
-            lost(Why.LIVELINESS)
+    def changed(event: Any) -> None:
+        if event.alive_count != 1:
+            lost(Why.ANOTHER if event.alive_count else Why.LIVELINESS)
 
-    def matched(event: Any) -> None:  # noqa: ANN401 - as above
+    def matched(event: Any) -> None:
         if event.total_count_change > 0:
             lost(Why.ANOTHER)
         elif event.current_count == 0:

@@ -6,15 +6,15 @@ Spec page: docs/spec/ros-stopping.md#processes
 
 from __future__ import annotations
 
-import inspect
+import signal
 import sys
+import threading
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Protocol
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -25,6 +25,8 @@ from authguard_r.ros.map import RosMap
 
 #: What a process ends with: its words, or what they name, are wrong.
 WRONG = 2
+#: A signal is looked for after so long at the latest, in seconds.
+LOOK_S = 0.1
 
 
 class Closing(Protocol):
@@ -38,6 +40,7 @@ class Closing(Protocol):
 def run_node(
     name: str,
     words: list[str],
+    wanted: tuple[str, ...],
     ready: Callable[..., tuple[RosMap, str, Callable[[Node], Closing]]],
 ) -> int:
     """Run one node until SIGTERM or SIGINT, and return the process's exit code.
@@ -48,12 +51,12 @@ def run_node(
     Args:
         name: of the node.
         words: of the command line.
+        wanted: what each of them is.
         ready: takes the words; returns the map, the enclave, and what makes the node's work.
     """
     log = Log()
-    wanted = tuple(inspect.signature(ready).parameters)
     if len(words) != len(wanted):
-        log.say("refused", name, message=f"expected {' '.join(wanted).upper()}")
+        log.say("refused", name, message=f"expected {' '.join(wanted)}")
         return WRONG
     try:
         ros, enclave, build = ready(*words)
@@ -65,6 +68,10 @@ def run_node(
 
 
 def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], Closing]) -> None:
+    over = threading.Event()
+    # not those of rclpy: they take the context away before a last word is said
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: over.set())
     context = Context()
     rclpy.init(
         args=["--ros-args", "--enclave", enclave],
@@ -72,7 +79,6 @@ def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], Closing]
         domain_id=ros.domain,
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    rclpy.signals.install_signal_handlers(SignalHandlerOptions.ALL)
     node = Node(
         name,
         context=context,
@@ -83,14 +89,16 @@ def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], Closing]
     )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    work = build(node)
     try:
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
-        with suppress(ExternalShutdownException, KeyboardInterrupt):
-            executor.spin()
+        work = build(node)
+        try:
+            sys.stdout.write("ready\n")
+            sys.stdout.flush()
+            while not over.is_set():
+                executor.spin_once(timeout_sec=LOOK_S)
+        finally:
+            work.close()
     finally:
-        work.close()
         executor.shutdown()
         node.destroy_node()
         context.try_shutdown()

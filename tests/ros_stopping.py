@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot on ROS 2 as processes that a test may kill, stop and dead-lock; no rclpy in here.
+
+    with Robot() as robot:
+        gate, base = robot.start("gate"), robot.start("base")
+        gate.tell("drive 0.3")
+        base.until(lambda line: line.get("x") == 0.3)
+
+Every process that was started is ended by its number, whatever happened.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+
+ACTORS = Path(__file__).with_name("ros_actors.py")
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+#: Bound against hanging, in seconds; nothing is measured against it.
+PATIENCE_S = 60.0
+_DOMAINS = itertools.count(1 + os.getpid() % 90)
+_SHARED = Path("/dev/shm")  # noqa: S108 - where Fast DDS has its segments
+
+Line = dict[str, Any]
+
+
+def map_of(domain: int) -> dict[str, Any]:
+    """Return the map of a robot with a base and one action."""
+    move = {
+        "kind": "stream",
+        "type": "geometry_msgs/msg/Twist",
+        "public": "/llm/cmd_vel",
+        "private": "/cmd_vel",
+        "by": "/robot/base",
+    }
+    count = {
+        "kind": "action",
+        "type": "test_msgs/action/Fibonacci",
+        "public": "/llm/fibonacci",
+        "private": "/fibonacci",
+        "by": "/robot/arm",
+    }
+    ours = ("gate", "deadman", "planner", "estimator", "display")
+    return {
+        "schema": "authguard-r/ros-map/1",
+        "robot": "r1",
+        "domain": domain,
+        "enclaves": {name: f"/authguard/{name}" for name in ours},
+        "mediated": {"move": move, "count": count},
+        "processes": {
+            "/robot/base": {"nodes": ["/base"], "publishes": ["/base/cmd_vel"]},
+            "/robot/arm": {"nodes": ["/arm"]},
+        },
+    }
+
+
+class Actor:
+    """One process, and everything that it said.
+
+    Args:
+        words: what it is started with.
+        python: of an environment with rclpy.
+    """
+
+    def __init__(self, words: list[str], python: str) -> None:
+        # an environment's variables are not another's
+        env = {name: value for name, value in os.environ.items() if "ROS_WHEELS" not in name}
+        env |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(SOURCE)}
+        self.process = subprocess.Popen(
+            [python, "-u", *words],
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.lines: list[Line] = []
+        self.errors: list[str] = []
+        self._news = threading.Condition()
+        self._readers = [
+            threading.Thread(target=self._read, daemon=True),
+            threading.Thread(target=self._read_errors, daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def tell(self, line: str) -> None:
+        """Give it a command."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def until(self, holds: Callable[[Line], Any], *, after: int = 0) -> Line:
+        """Return the first line of which something holds, waiting for it.
+
+        Args:
+            holds: asked of each line.
+            after: of the machine's monotonic clock; earlier lines do not count.
+        """
+        end = time.monotonic() + PATIENCE_S
+        seen = 0
+        with self._news:
+            while True:
+                for line in self.lines[seen:]:
+                    if line["ns"] >= after and holds(line):
+                        return line
+                seen = len(self.lines)
+                if not self._news.wait(end - time.monotonic()):
+                    raise AssertionError(f"it did not happen: {self.lines[-5:]} {self.errors[-5:]}")
+
+    def event(self, name: str, *, after: int = 0) -> Line:
+        """Return the first line of an event, waiting for it."""
+        return self.until(lambda line: line["event"] == name, after=after)
+
+    def velocity(self, x: float, *, after: int = 0) -> Line:
+        """Return the line that says that the base was told this velocity, waiting for it."""
+        return self.until(lambda line: line["event"] == "velocity" and line["x"] == x, after=after)
+
+    def velocities(self) -> list[float]:
+        """Return every velocity that a base was told, in order."""
+        return [line["x"] for line in self.lines if line["event"] == "velocity"]
+
+    def send(self, number: signal.Signals) -> int:
+        """Send it a signal, and return when."""
+        sent = time.monotonic_ns()
+        self.process.send_signal(number)
+        return sent
+
+    def end(self) -> None:
+        """End it, and read the rest of what it said."""
+        self.process.kill()
+        self.process.wait()
+        for reader in self._readers:
+            reader.join()
+        for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
+            assert stream is not None
+            try:
+                stream.close()
+            except BrokenPipeError:
+                pass  # it was killed with a command unread
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for text in self.process.stdout:
+            line = {"event": "ready", "ns": 0} if text == "ready\n" else json.loads(text)
+            with self._news:
+                self.lines.append(line)
+                self._news.notify_all()
+
+    def _read_errors(self) -> None:
+        assert self.process.stderr is not None
+        for text in self.process.stderr:
+            self.errors.append(text.rstrip())
+
+
+class Robot:
+    """The processes of one robot; a context manager.
+
+    Args:
+        python: of an environment with rclpy; None takes this one.
+    """
+
+    def __init__(self, python: str | None = None) -> None:
+        self._python = python or sys.executable
+        self._folder = TemporaryDirectory(prefix="ros-")
+        self.map = Path(self._folder.name) / "map.yaml"
+        self.map.write_text(yaml.safe_dump(map_of(next(_DOMAINS) % 100 + 1)))
+        self._actors: list[Actor] = []
+
+    def start(self, role: str, *words: str) -> Actor:
+        """Start a process of `ros_actors`."""
+        return self._start([str(ACTORS), role, str(self.map), *words])
+
+    def run(self, module: str, *words: str) -> Actor:
+        """Start a module of the package's as its own process."""
+        return self._start(["-m", f"authguard_r.ros.{module}", str(self.map), *words])
+
+    def _start(self, words: list[str]) -> Actor:
+        actor = Actor(words, self._python)
+        self._actors.append(actor)
+        actor.event("ready")
+        return actor
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for actor in self._actors:
+            actor.end()
+        self._folder.cleanup()
+        clean_shared()
+
+
+def clean_shared() -> None:
+    """Remove shared memory that killed processes of ours left; what anybody holds stays."""
+    for lock in _SHARED.glob("fastdds_*_el"):
+        try:
+            with lock.open("rb") as file:
+                # each process that uses a segment holds its lock
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
+                lock.unlink(missing_ok=True)
+        except OSError:
+            continue
