@@ -142,10 +142,10 @@ class Gate:
 
 
 class Base:
-    """A robot's base: its driver says each velocity that is another one than before."""
+    """A robot's base: its driver says what it is told, and why, whenever that changes."""
 
     def __init__(self, node: Node, ros: RosMap, *words: str) -> None:
-        self.x: float | None = None
+        self.told: tuple[object, object] = (None, None)
         self.fails = False
         topic = ros.mediated["move"].private
         self.actuator = Actuator(node, topic, self.drive, events="no-events" not in words)
@@ -154,9 +154,10 @@ class Base:
     def drive(self, velocity: Twist) -> None:
         if self.fails and velocity.linear.x:
             raise OSError("no bus")
-        if velocity.linear.x != self.x:
-            self.x = velocity.linear.x
-            say("velocity", x=self.x, why=self.actuator.why)
+        told = (velocity.linear.x, self.actuator.why)
+        if told != self.told:
+            self.told = told
+            say("velocity", x=told[0], why=told[1])
 
 
 class Wheels:

@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -33,7 +34,8 @@ SOURCE = Path(__file__).resolve().parents[1] / "src"
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 60.0
 _DOMAINS = itertools.count(1 + os.getpid() % 90)
-_SHARED = Path("/dev/shm")  # noqa: S108 - where Fast DDS has its segments
+_SHARED = Path("/dev/shm")
+_ENDS = {"goal canceled", "goal succeeded"}
 
 Line = dict[str, Any]
 
@@ -122,6 +124,14 @@ class Actor:
                 if not self._news.wait(end - time.monotonic()):
                     raise AssertionError(f"it did not happen: {self.lines[-5:]} {self.errors[-5:]}")
 
+    def says(self, words: str) -> None:
+        """Wait until a line of its standard error has these words."""
+        end = time.monotonic() + PATIENCE_S
+        with self._news:
+            while not any(words in line for line in self.errors):
+                if not self._news.wait(end - time.monotonic()):
+                    raise AssertionError(f"it did not say `{words}`: {self.errors[-5:]}")
+
     def event(self, name: str, *, after: int = 0) -> Line:
         """Return the first line of an event, waiting for it."""
         return self.until(lambda line: line["event"] == name, after=after)
@@ -129,6 +139,10 @@ class Actor:
     def velocity(self, x: float, *, after: int = 0) -> Line:
         """Return the line that says that the base was told this velocity, waiting for it."""
         return self.until(lambda line: line["event"] == "velocity" and line["x"] == x, after=after)
+
+    def open(self, *, after: int = 0) -> Line:
+        """Return the line that says that velocities go on to the base, waiting for it."""
+        return self.until(lambda line: line["event"] == "velocity" and not line["why"], after=after)
 
     def velocities(self) -> list[float]:
         """Return every velocity that a base was told, in order."""
@@ -148,10 +162,8 @@ class Actor:
             reader.join()
         for stream in (self.process.stdin, self.process.stdout, self.process.stderr):
             assert stream is not None
-            try:
+            with suppress(BrokenPipeError):  # it was killed with a command unread
                 stream.close()
-            except BrokenPipeError:
-                pass  # it was killed with a command unread
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -164,7 +176,9 @@ class Actor:
     def _read_errors(self) -> None:
         assert self.process.stderr is not None
         for text in self.process.stderr:
-            self.errors.append(text.rstrip())
+            with self._news:
+                self.errors.append(text.rstrip())
+                self._news.notify_all()
 
 
 class Robot:
@@ -185,14 +199,16 @@ class Robot:
         """Start a process of `ros_actors`."""
         return self._start([str(ACTORS), role, str(self.map), *words])
 
-    def run(self, module: str, *words: str) -> Actor:
+    def run(self, module: str, *words: str, waits: bool = True) -> Actor:
         """Start a module of the package's as its own process."""
-        return self._start(["-m", f"authguard_r.ros.{module}", str(self.map), *words])
+        command = ["-m", f"authguard_r.ros.{module}", str(self.map), *words]
+        return self._start(command, waits=waits)
 
-    def _start(self, words: list[str]) -> Actor:
+    def _start(self, words: list[str], *, waits: bool = True) -> Actor:
         actor = Actor(words, self._python)
         self._actors.append(actor)
-        actor.event("ready")
+        if waits:
+            actor.event("ready")
         return actor
 
     def __enter__(self) -> Self:
@@ -210,6 +226,48 @@ class Robot:
         clean_shared()
 
 
+class Driving:
+    """A robot that moves, with a goal that runs: what a fault is put into.
+
+    Args:
+        robot: its processes.
+        base: words of its base.
+        gate: words of what stands for the gate's node.
+    """
+
+    def __init__(
+        self, robot: Robot, *, base: tuple[str, ...] = (), gate: tuple[str, ...] = ()
+    ) -> None:
+        self.server = robot.start("server")
+        self.base = robot.start("base", *base)
+        self.deadman = robot.run("deadman")
+        self.gate = robot.start("gate", *gate)
+        self.base.open()
+        self.deadman.says("armed")
+        self.gate.tell("goal")
+        self.server.event("goal began")
+        self.gate.tell("drive 0.3")
+        self.base.velocity(0.3)
+
+    def fault(self, name: str) -> int:
+        """Put a fault into the gate's node, and return when: a signal's name, or a command."""
+        if name in signal.Signals.__members__:
+            return self.gate.send(signal.Signals[name])
+        begun = time.monotonic_ns()
+        self.gate.tell(name)
+        return begun
+
+    def stopped_ms(self, begun_ns: int) -> float:
+        """Return how long after that the base was told to stand, waiting for it."""
+        return float(self.base.velocity(0.0, after=begun_ns)["ns"] - begun_ns) / 1e6
+
+    def canceled_ms(self, begun_ns: int) -> float:
+        """Return how long after that the goal was canceled, waiting for it."""
+        line = self.server.until(lambda line: line["event"] in _ENDS, after=begun_ns)
+        assert line["event"] == "goal canceled"
+        return float(line["ns"] - begun_ns) / 1e6
+
+
 def clean_shared() -> None:
     """Remove shared memory that killed processes of ours left; what anybody holds stays."""
     for lock in _SHARED.glob("fastdds_*_el"):
@@ -217,7 +275,8 @@ def clean_shared() -> None:
             with lock.open("rb") as file:
                 # each process that uses a segment holds its lock
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
-                lock.unlink(missing_ok=True)
+                name = lock.name.removesuffix("_el")
+                for left in (name, f"sem.{name}_mutex", lock.name):
+                    (_SHARED / left).unlink(missing_ok=True)
         except OSError:
             continue

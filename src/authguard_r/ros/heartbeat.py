@@ -95,8 +95,8 @@ class LoopWatch:
             self._is_asked = True
             try:
                 self._loop.call_soon_threadsafe(self._turned)
-            except RuntimeError:  # it is closed, and stays so
-                return False
+            except RuntimeError:  # it is closed, and nobody is asked again
+                self._turned_ns = None
         turned_ns = self._turned_ns
         return turned_ns is not None and time.monotonic_ns() - turned_ns < TURN_MS * MS
 
