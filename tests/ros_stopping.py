@@ -29,10 +29,17 @@ from typing import Any, Self
 
 import yaml
 
+try:
+    from coverage import Coverage
+except ImportError:  # an environment that measures no lines
+    Coverage = None
+
 ACTORS = Path(__file__).with_name("ros_actors.py")
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 60.0
+#: A process that was told to end is killed after so long, in seconds.
+_END_S = 5.0
 _DOMAINS = itertools.count(1 + os.getpid() % 90)
 _SHARED = Path("/dev/shm")
 _ENDS = {"goal canceled", "goal succeeded"}
@@ -82,6 +89,8 @@ class Actor:
         # an environment's variables are not another's
         env = {name: value for name, value in os.environ.items() if "ROS_WHEELS" not in name}
         env |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(SOURCE)}
+        if Coverage is not None and Coverage.current() is not None:
+            env |= {"COVERAGE_PROCESS_START": str(SOURCE.parent / "pyproject.toml")}
         self.process = subprocess.Popen(
             [python, "-u", *words],
             env=env,
@@ -156,8 +165,13 @@ class Actor:
 
     def end(self) -> None:
         """End it, and read the rest of what it said."""
-        self.process.kill()
-        self.process.wait()
+        self.process.send_signal(signal.SIGCONT)
+        self.process.terminate()
+        try:
+            self.process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
         for reader in self._readers:
             reader.join()
         for stream in (self.process.stdin, self.process.stdout, self.process.stderr):

@@ -181,6 +181,15 @@ def test_a_second_publisher_is_found_by_its_first_sample_where_dds_says_nothing(
     assert set(base.velocities()) == {0.0, 0.3}
 
 
+def test_two_gates_stop_the_base_and_cancel_the_goal(robot: Robot) -> None:
+    driving = Driving(robot)
+    begun = time.monotonic_ns()
+    robot.start("gate")
+    assert driving.base.velocity(0.0, after=begun)["why"] == "another_publisher"
+    driving.canceled_ms(begun)
+    driving.deadman.says('"why": "another_publisher"')
+
+
 def test_a_dead_man_that_starts_without_a_heartbeat_cancels_what_runs(robot: Robot) -> None:
     server, gate = robot.start("server"), robot.start("gate", "mute")
     gate.tell("goal")
