@@ -17,8 +17,7 @@ from typing import Any
 
 import machine
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.append(str(ROOT / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from ros_stopping import Driving, Robot
 
 #: Told to a base with the events of DDS, and to one with its own watch alone.
@@ -26,7 +25,7 @@ FAULTS = {
     "kill -9": ("SIGKILL", ()),
     "kill -9, own watch alone": ("SIGKILL", ("no-events",)),
     "SIGSTOP": ("SIGSTOP", ()),
-    "SIGTERM": ("SIGTERM", ()),
+    "a clean end": ("leave", ()),
     "a dead-locked executor": ("deadlock", ()),
     "a stuck asyncio loop": ("stick", ()),
     "a lease that ends": ("end", ()),
@@ -85,7 +84,7 @@ def main() -> int:
         print(f"| {canceled['median']:.0f} ({canceled['most']:.0f}) |")
     result = {
         "schema": "authguard-r/ros-faults/1",
-        **machine.describe(ROOT),
+        **machine.describe(Path(__file__).parent),
         "trials": options.trials,
         "before": {"stands_ms": ACTUATOR_MS, "canceled_ms": CANCELED_MS},
         "faults": found,

@@ -267,7 +267,11 @@ def main() -> None:
     executor.add_node(node)
     actor = ROLES[role](node, ros, *words)
     say("ready", role=type(actor).__name__)
-    executor.spin()
+    try:
+        executor.spin()
+    except SystemExit:
+        node.destroy_node()
+        context.try_shutdown()
 
 
 if __name__ == "__main__":
