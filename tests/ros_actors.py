@@ -34,6 +34,7 @@ from authguard_r.ros.deadman import Deadman
 from authguard_r.ros.heartbeat import (
     Heartbeat,
     LoopWatch,
+    Told,
     actuation_qos,
     gate_heartbeat,
     steady,
@@ -148,7 +149,8 @@ class Base:
         self.told: tuple[object, object] = (None, None)
         self.fails = False
         topic = ros.mediated["move"].private
-        self.actuator = Actuator(node, topic, self.drive, events="no-events" not in words)
+        told = Told(events="no-events" not in words, ids="no-ids" not in words)
+        self.actuator = Actuator(node, topic, self.drive, told=told)
         obey(node, {"stick": hang, "fail": lambda: setattr(self, "fails", True)})
 
     def drive(self, velocity: Twist) -> None:
@@ -242,7 +244,7 @@ class Blind:
     """A dead-man that hears nothing of what DDS says of publishers."""
 
     def __init__(self, node: Node, ros: RosMap) -> None:
-        self.deadman = Deadman(node, ros, events=False)
+        self.deadman = Deadman(node, ros, told=Told(events=False))
 
 
 ROLES: dict[str, Callable[..., object]] = {

@@ -183,6 +183,22 @@ def test_a_second_publisher_is_found_by_its_first_sample_where_dds_says_nothing(
     assert set(base.velocities()) == {0.0, 0.3}
 
 
+def test_two_publishers_that_stand_are_no_lease_where_nobody_says_whose_a_sample_is(
+    robot: Robot,
+) -> None:
+    """rclpy before Kilted: the second one would be taken for the first, and then speed up."""
+    base, gate = robot.start("base", "no-ids"), robot.start("gate")
+    base.open()
+    rogue = robot.start("rogue", "right", "0")
+    began = base.until(lambda line: line.get("why") == "another_publisher")["ns"]
+    rogue.until(lambda line: line["event"] == "published" and line["count"] == 50)
+    assert not [line for line in base.lines if line["ns"] > began]
+    ended = rogue.send(signal.SIGKILL)
+    base.open(after=ended)
+    gate.tell("drive 0.3")
+    base.velocity(0.3)
+
+
 def test_two_gates_stop_the_base_and_cancel_the_goal(robot: Robot) -> None:
     driving = Driving(robot)
     begun = time.monotonic_ns()

@@ -21,7 +21,7 @@ from rclpy.node import Node
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import MalformedError
-from authguard_r.ros.heartbeat import actuation_qos, listen, new_latch, require_name
+from authguard_r.ros.heartbeat import ALL, Told, actuation_qos, listen, new_latch, require_name
 from authguard_r.ros.latch import MS, Why
 from authguard_r.ros.map import Kind, Mediated, RosMap, read_map
 from authguard_r.ros.process import run_node
@@ -46,7 +46,7 @@ class Actuator:
         topic: the whole name of the topic that moves the base.
         drive: tells the driver a velocity; zero is to stand. It is called from two threads, one
             at a time, and has to return at once: while it does not, nothing can stop the base.
-        events: False does without what DDS says of publishers.
+        told: what is asked of the middleware.
         log: says once what happened.
 
     Raises:
@@ -59,7 +59,7 @@ class Actuator:
         topic: str,
         drive: Callable[[Twist], None],
         *,
-        events: bool = True,
+        told: Told = ALL,
         log: Log | None = None,
     ) -> None:
         self._node = node
@@ -72,7 +72,7 @@ class Actuator:
         self._over = threading.Event()
         self._watching = threading.Thread(target=self._watch, name="actuator", daemon=True)
         self._subscription = listen(
-            node, topic, Twist, heard=self._heard, lost=self._lost, events=events
+            node, topic, Twist, heard=self._heard, lost=self._lost, told=told
         )
         self._watching.start()
 

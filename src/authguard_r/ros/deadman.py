@@ -22,7 +22,7 @@ from rclpy.task import Future
 from std_msgs.msg import UInt64
 
 from authguard_r.client.link import Log
-from authguard_r.ros.heartbeat import PERIOD_MS, listen, new_latch, steady
+from authguard_r.ros.heartbeat import ALL, PERIOD_MS, Told, listen, new_latch, steady
 from authguard_r.ros.latch import MS, Why
 from authguard_r.ros.map import Kind, RosMap, read_map
 from authguard_r.ros.process import run_node
@@ -97,7 +97,7 @@ class Deadman:
     Args:
         node: its owner, whose executor does nothing else.
         ros: the robot's map.
-        events: False does without what DDS says of the heartbeat's publisher.
+        told: what is asked of the middleware.
         log: says once what happened.
 
     Raises:
@@ -105,7 +105,7 @@ class Deadman:
     """
 
     def __init__(
-        self, node: Node, ros: RosMap, *, events: bool = True, log: Log | None = None
+        self, node: Node, ros: RosMap, *, told: Told = ALL, log: Log | None = None
     ) -> None:
         self._node = node
         self._log = log or Log()
@@ -114,7 +114,7 @@ class Deadman:
         self._is_lost = False  # since the start: perhaps it is not found yet
         actions = sorted(m.private for m in ros.mediated.values() if m.kind is Kind.ACTION)
         self._cancelers = tuple(Canceler(node, action, self._log) for action in actions)
-        listen(node, ros.heartbeat, UInt64, heard=self._heard, lost=self._stop, events=events)
+        listen(node, ros.heartbeat, UInt64, heard=self._heard, lost=self._stop, told=told)
         node.create_timer(PERIOD_MS / 1_000, self._look, None, steady())
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from msgspec import Struct
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -75,6 +76,21 @@ def steady() -> Clock:
 def new_latch() -> Latch:
     """Return a latch with this module's figures."""
     return Latch(silence_ms=SILENCE_MS, settle_ms=SETTLE_MS)
+
+
+class Told(Struct, frozen=True, kw_only=True):
+    """What the middleware tells of publishers, and what a listener has to do without.
+
+    Args:
+        events: that one came, is late or is gone; False leaves the own watch alone.
+        ids: whose each sample is; rclpy before Kilted does not say it.
+    """
+
+    events: bool = True
+    ids: bool = True
+
+
+ALL = Told()
 
 
 class LoopWatch:
@@ -201,7 +217,7 @@ def listen(
     *,
     heard: Callable[[Any, bytes], None],
     lost: Callable[[Why], None],
-    events: bool = True,
+    told: Told = ALL,
 ) -> Subscription[Any]:
     """Return a subscription with the profile of heartbeats and all that DDS says of it.
 
@@ -211,16 +227,20 @@ def listen(
         kind: of its messages.
         heard: takes a message and the name of its publisher.
         lost: takes what DDS found; again for each time that DDS says it.
-        events: False does without what DDS says: the own watch alone counts then.
+        told: what is asked of the middleware.
 
     Raises:
         EnvironmentFault: the name is remapped, or this DDS says nothing of its publishers.
     """
     require_name(node, topic)
+    about = _Publishers(lost)
 
-    def take(message: Any, about: Mapping[str, Any]) -> None:
-        named = about.get("publisher_gid")
-        heard(message, b"" if named is None else bytes(named["data"]))
+    def take(message: Any, origin: Mapping[str, Any]) -> None:
+        named = origin.get("publisher_gid") if told.ids else None
+        if named is None and about.are_several:
+            lost(Why.ANOTHER)  # nobody can say whose it is
+        else:
+            heard(message, b"" if named is None else bytes(named["data"]))
 
     try:
         return node.create_subscription(
@@ -229,7 +249,7 @@ def listen(
             take,
             actuation_qos(),
             callback_group=MutuallyExclusiveCallbackGroup(),
-            event_callbacks=_events(lost) if events else None,
+            event_callbacks=about.events() if told.events else None,
         )
     except UnsupportedEventTypeError as error:
         raise EnvironmentFault(
@@ -254,23 +274,31 @@ def require_name(node: Node, topic: str) -> None:
         )
 
 
-def _events(lost: Callable[[Why], None]) -> SubscriptionEventCallbacks:
-    """Return what DDS's events mean.
+class _Publishers:
+    """What DDS's events mean.
 
     How many are matched says nothing of how many live: who was killed stays matched for up to
     twenty seconds. So a match that is new counts, and the end of the last one.
     """
 
-    def changed(event: Any) -> None:
+    def __init__(self, lost: Callable[[Why], None]) -> None:
+        self.are_several = False
+        self._lost = lost
+
+    def events(self) -> SubscriptionEventCallbacks:
+        return SubscriptionEventCallbacks(
+            deadline=lambda _: self._lost(Why.DEADLINE),
+            liveliness=self._changed,
+            matched=self._matched,
+        )
+
+    def _changed(self, event: Any) -> None:
+        self.are_several = event.alive_count > 1
         if event.alive_count != 1:
-            lost(Why.ANOTHER if event.alive_count else Why.LIVELINESS)
+            self._lost(Why.ANOTHER if self.are_several else Why.LIVELINESS)
 
-    def matched(event: Any) -> None:
+    def _matched(self, event: Any) -> None:
         if event.total_count_change > 0:
-            lost(Why.ANOTHER)
+            self._lost(Why.ANOTHER)
         elif event.current_count == 0:
-            lost(Why.GONE)
-
-    return SubscriptionEventCallbacks(
-        deadline=lambda _: lost(Why.DEADLINE), liveliness=changed, matched=matched
-    )
+            self._lost(Why.GONE)
