@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -179,19 +180,26 @@ class Server:
     """An action's server: it works until it is done or canceled, whoever asked."""
 
     def __init__(self, node: Node, ros: RosMap, *words: str) -> None:
+        self.is_slow = "slow" in words
+        self.goal_s = 1.0 if "brief" in words else GOAL_S
         ActionServer(
             node,
             Fibonacci,
             ros.mediated["count"].private,
             self.work,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            cancel_callback=self.cancel,
             callback_group=ReentrantCallbackGroup(),
             result_timeout=2,
         )
 
+    def cancel(self, _: Any) -> CancelResponse:
+        if self.is_slow:
+            time.sleep(0.4)
+        return CancelResponse.ACCEPT
+
     def work(self, goal: Any) -> Fibonacci.Result:
         say("goal began")
-        end = time.monotonic() + GOAL_S
+        end = time.monotonic() + self.goal_s
         while time.monotonic() < end and not goal.is_cancel_requested:
             time.sleep(0.002)
         if goal.is_cancel_requested:
@@ -201,6 +209,22 @@ class Server:
             goal.succeed()
             say("goal succeeded")
         return Fibonacci.Result()
+
+
+class Refuser:
+    """Answers as an action's server of rclcpp that refuses to cancel, until it is told to yield."""
+
+    def __init__(self, node: Node, ros: RosMap, *words: str) -> None:
+        self.refuses = True
+        name = ros.mediated["count"].private
+        node.create_service(CancelGoal, f"{name}/_action/cancel_goal", self.answer)
+        obey(node, {"yield": lambda: setattr(self, "refuses", False)})
+
+    def answer(self, _: Any, answer: CancelGoal.Response) -> CancelGoal.Response:
+        say("asked", refused=self.refuses)
+        if self.refuses:
+            answer.return_code = CancelGoal.Response.ERROR_REJECTED
+        return answer
 
 
 class Rogue:
@@ -252,6 +276,7 @@ ROLES: dict[str, Callable[..., object]] = {
     "base": Base,
     "wheels": Wheels,
     "server": Server,
+    "refuser": Refuser,
     "rogue": Rogue,
     "looker": Looker,
     "blind": Blind,

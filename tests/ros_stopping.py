@@ -133,17 +133,32 @@ class Actor:
                 if not self._news.wait(end - time.monotonic()):
                     raise AssertionError(f"it did not happen: {self.lines[-5:]} {self.errors[-5:]}")
 
-    def says(self, words: str) -> None:
-        """Wait until a line of its standard error has these words."""
+    def says(self, words: str, *, times: int = 1) -> None:
+        """Wait until so many lines of its standard error have these words."""
         end = time.monotonic() + PATIENCE_S
         with self._news:
-            while not any(words in line for line in self.errors):
+            while sum(words in line for line in self.errors) < times:
                 if not self._news.wait(end - time.monotonic()):
                     raise AssertionError(f"it did not say `{words}`: {self.errors[-5:]}")
 
     def event(self, name: str, *, after: int = 0) -> Line:
         """Return the first line of an event, waiting for it."""
         return self.until(lambda line: line["event"] == name, after=after)
+
+    def ended(self, *, after: int) -> Line:
+        """Return the line that says how a goal ended, waiting for it."""
+        return self.until(lambda line: line["event"] in _ENDS, after=after)
+
+    def until_more(self, samples: int) -> None:
+        """Wait until a gate has published so many samples more."""
+        wanted = self._count() + samples
+        while self._count() < wanted:
+            pass
+
+    def _count(self) -> int:
+        asked = time.monotonic_ns()
+        self.tell("count")
+        return int(self.event("samples", after=asked)["count"])
 
     def velocity(self, x: float, *, after: int = 0) -> Line:
         """Return the line that says that the base was told this velocity, waiting for it."""
@@ -277,7 +292,7 @@ class Driving:
 
     def canceled_ms(self, begun_ns: int) -> float:
         """Return how long after that the goal was canceled, waiting for it."""
-        line = self.server.until(lambda line: line["event"] in _ENDS, after=begun_ns)
+        line = self.server.ended(after=begun_ns)
         assert line["event"] == "goal canceled"
         return float(line["ns"] - begun_ns) / 1e6
 

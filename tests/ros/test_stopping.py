@@ -73,19 +73,13 @@ def test_a_gate_that_wakes_up_and_goes_on_as_before_moves_nothing(robot: Robot) 
     died = len(driving.base.velocities())
     driving.gate.send(signal.SIGCONT)
     driving.gate.event("lapsed", after=begun)
-    driving.gate.tell("count")
-    first = driving.gate.event("samples", after=begun)["count"]
-    while True:  # it says it again and again
-        asked = time.monotonic_ns()
-        driving.gate.tell("count")
-        line = driving.gate.event("samples", after=asked)
-        if line["count"] >= first + 50:
-            break
+    driving.gate.until_more(50)  # it says it again and again
     assert set(driving.base.velocities()[died:]) <= {0.0}
+    over = time.monotonic_ns()
     driving.gate.tell("drive 0")  # the lease is over: a fresh one may come
-    driving.base.open(after=line["ns"])
+    driving.base.open(after=over)
     driving.gate.tell("drive 0.1")
-    driving.base.velocity(0.1, after=line["ns"])
+    driving.base.velocity(0.1, after=over)
 
 
 def test_the_heartbeat_tells_its_owner_of_its_own_silence_before_it_speaks_again(
@@ -227,6 +221,44 @@ def test_a_goal_that_a_server_takes_after_the_death_is_canceled_too(robot: Robot
         late.tell("goal")
         server.event("goal began", after=begun)
         server.event("goal canceled", after=begun)
+
+
+def test_a_server_that_refuses_to_cancel_is_asked_until_it_yields_and_then_no_more(
+    robot: Robot,
+) -> None:
+    server, deadman = robot.start("refuser"), robot.run("deadman")
+    gate = robot.start("gate")
+    deadman.says("armed")
+    begun = gate.send(signal.SIGKILL)
+    server.event("asked", after=begun)
+    reborn = robot.start("gate")
+    deadman.says("armed", times=2)
+    deadman.says("not canceled")
+    server.event("asked", after=time.monotonic_ns())  # a new gate does not settle it
+    server.tell("yield")
+    server.until(lambda line: line.get("refused") is False)
+    settled = time.monotonic_ns()
+    reborn.until_more(100)
+    assert [line for line in server.lines if line["ns"] > settled] == []
+
+
+def test_a_server_that_answers_late_has_answered(robot: Robot) -> None:
+    """Else it would be asked for ever, and a new gate's goals be canceled for an old one's."""
+    server, deadman = robot.start("server", "slow", "brief"), robot.run("deadman")
+    gate = robot.start("gate")
+    deadman.says("armed")
+    gate.tell("goal")
+    server.event("goal began")
+    begun = gate.send(signal.SIGKILL)
+    server.event("goal canceled", after=begun)
+    reborn = robot.start("gate")
+    for _ in range(10):  # what waits in the server is a few questions, and then no more
+        began = time.monotonic_ns()
+        reborn.tell("goal")
+        server.event("goal began", after=began)
+        if server.ended(after=began)["event"] == "goal succeeded":
+            break
+    server.event("goal succeeded")
 
 
 def test_a_dead_man_without_the_events_of_dds_cancels_by_its_own_watch(robot: Robot) -> None:

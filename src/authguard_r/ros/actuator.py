@@ -21,7 +21,7 @@ from rclpy.node import Node
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import MalformedError
-from authguard_r.ros.heartbeat import ALL, Told, actuation_qos, listen, new_latch, require_name
+from authguard_r.ros.heartbeat import ALL, Told, actuation_qos, listen, new_latch
 from authguard_r.ros.latch import MS, Why
 from authguard_r.ros.map import Kind, Mediated, RosMap, read_map
 from authguard_r.ros.process import run_node
@@ -182,7 +182,6 @@ def main(words: list[str] | None = None) -> int:
         item = relay_of(ros, key, topic)
 
         def build(node: Node) -> Actuator:
-            require_name(node, topic)
             base = node.create_publisher(Twist, topic, actuation_qos())
             return Actuator(node, item.private, base.publish)
 

@@ -29,10 +29,13 @@ from authguard_r.ros.process import run_node
 
 #: A heartbeat that was never heard counts as lost after so long: nodes find one another slowly.
 START_MS = 3_000
-#: A server that has not answered is asked again after so long, in milliseconds.
+#: A server that has not answered is asked again after so long, in milliseconds, then after twice
+#: as long each time up to `REST_MS`: what waits in a slow server cancels a new gate's goals too.
 AGAIN_MS = 100
-#: One that has is asked again after so long, while there is no heartbeat.
+#: One that has nothing left to cancel is asked again after so long, while there is no heartbeat.
 REST_MS = 500
+#: An answer is not waited for any longer, in milliseconds.
+FORGET_MS = 5_000
 
 
 class Canceler:
@@ -50,14 +53,16 @@ class Canceler:
         self._client: Client[CancelGoal.Request, CancelGoal.Response] = node.create_client(
             CancelGoal, f"{action}/_action/cancel_goal"
         )
-        self._asked: Future[CancelGoal.Response] | None = None
-        self._asked_ns = 0
+        self._asked: dict[Future[CancelGoal.Response], int] = {}
+        self._lost_ns = 0
         self._due_ns = 0
+        self._pause_ms = AGAIN_MS
         self._is_owed = False
 
-    def lose(self) -> None:
+    def lose(self, now_ns: int) -> None:
         """Take note that the heartbeat is lost: an answer is owed."""
-        self._due_ns, self._is_owed = 0, True
+        self._lost_ns, self._due_ns, self._is_owed = now_ns, 0, True
+        self._pause_ms = AGAIN_MS
 
     def look(self, now_ns: int, *, is_lost: bool) -> None:
         """Ask, if it is time to.
@@ -66,29 +71,34 @@ class Canceler:
             now_ns: the monotonic clock.
             is_lost: there is no heartbeat; else only what is owed is asked for.
         """
-        if self._asked is not None and now_ns - self._asked_ns >= AGAIN_MS * MS:
-            self._client.remove_pending_request(self._asked)
-            self._asked = None
+        for asked in [a for a, ns in self._asked.items() if now_ns - ns >= FORGET_MS * MS]:
+            self._client.remove_pending_request(asked)
+            del self._asked[asked]
         if not self._client.service_is_ready():
             self._is_owed = self._is_owed and is_lost  # its goals went with it
-        elif (is_lost or self._is_owed) and self._asked is None and now_ns >= self._due_ns:
+        elif (is_lost or self._is_owed) and now_ns >= self._due_ns:
             # an id and a time of zero mean every goal
-            self._asked, self._asked_ns = self._client.call_async(CancelGoal.Request()), now_ns
-            self._asked.add_done_callback(self._answered)
+            asked = self._client.call_async(CancelGoal.Request())
+            self._asked[asked], self._due_ns = now_ns, now_ns + self._pause_ms * MS
+            self._pause_ms = min(2 * self._pause_ms, REST_MS)
+            asked.add_done_callback(self._answered)
 
     def _answered(self, asked: Future[CancelGoal.Response]) -> None:
+        """Take an answer, however late; one to a question from before the loss settles nothing."""
+        asked_ns = self._asked.pop(asked, None)
         answer = asked.result()
-        if self._asked is not asked:
+        if asked_ns is None or asked_ns < self._lost_ns or answer is None:
             return
-        self._asked = None
-        if answer is None or answer.return_code == CancelGoal.Response.ERROR_REJECTED:
+        if answer.return_code == CancelGoal.Response.ERROR_REJECTED:
             self._log.say("not canceled", self._action)
-            self._due_ns = self._asked_ns + AGAIN_MS * MS
-            return
-        self._is_owed = False
-        self._due_ns = self._asked_ns + REST_MS * MS
-        if answer.goals_canceling:
+            self._pause_ms = AGAIN_MS
+        elif answer.goals_canceling:
+            # rclpy passes over a goal behind one that it takes out of its answer
             self._log.say("canceled", self._action, goals=str(len(answer.goals_canceling)))
+            self._pause_ms = AGAIN_MS
+        else:
+            self._is_owed = False
+            self._due_ns = asked_ns + REST_MS * MS
 
 
 class Deadman:
@@ -150,9 +160,10 @@ class Deadman:
         """Ask every server at once."""
         self._is_lost = True
         self._log.say("lost", "heartbeat", why=why)
+        now_ns = time.monotonic_ns()
         for canceler in self._cancelers:
-            canceler.lose()
-        self._ask(time.monotonic_ns())
+            canceler.lose(now_ns)
+        self._ask(now_ns)
 
     def _ask(self, now_ns: int) -> None:
         for canceler in self._cancelers:
