@@ -25,7 +25,7 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from test_msgs.action import Fibonacci
@@ -289,8 +289,9 @@ def main() -> None:
     context = Context()
     rclpy.init(context=context, domain_id=ros.domain)
     node = Node(role, context=context, start_parameter_services=False, enable_rosout=False)
-    several = MultiThreadedExecutor(3, context=context)
-    executor = several if role == "server" else SingleThreadedExecutor(context=context)
+    executor: Executor = SingleThreadedExecutor(context=context)
+    if role == "server" or "several" in words:
+        executor = MultiThreadedExecutor(3, context=context)
     executor.add_node(node)
     actor = ROLES[role](node, ros, *words)
     say("ready", role=type(actor).__name__)

@@ -52,6 +52,15 @@ def test_a_gate_that_does_not_live_stops_the_base_and_cancels_the_goal(
         assert driving.gate.process.poll() is None  # the process lives, and that is not enough
 
 
+def test_an_executor_of_several_threads_is_as_dead_when_what_mediates_is_stuck(
+    robot: Robot,
+) -> None:
+    driving = Driving(robot, gate=("several",))
+    begun = driving.fault("deadlock")
+    assert driving.stopped_ms(begun) < SOON_MS
+    assert driving.canceled_ms(begun) < SOON_MS
+
+
 def test_nothing_moves_after_death_until_a_new_life_has_stood_first(robot: Robot) -> None:
     driving = Driving(robot)
     begun = driving.fault("SIGKILL")
