@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import random
 import statistics
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,7 @@ def trial(python: str, fault: str, base: tuple[str, ...]) -> tuple[float, float]
     """Return how many milliseconds after the fault the base stood and the goal was canceled."""
     with Robot(python) as robot:
         driving = Driving(robot, base=base)
+        time.sleep(random.uniform(0, 0.2))  # between two samples, wherever it hits
         begun = driving.fault(fault)
         return driving.stopped_ms(begun), driving.canceled_ms(begun)
 
