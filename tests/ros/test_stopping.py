@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the gate's node is gone, the base stands and what ran is canceled, and nothing moves after.
+
+Real processes, killed, stopped and dead-locked, with real topics and a real action server between
+them. How fast it is, `benchmarks/ros_faults.py` measures; the bound here only makes the law
+visible. Source: docs/spec/ros-stopping.md; lessons L1, L3, L19
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="an environment with ROS runs these (.ci/run makes one)")
+
+from ros_stopping import Driving, Robot
+
+#: From a fault to a base that stands and a goal that is canceled, in milliseconds.
+SOON_MS = 1_000.0
+FAULTS = {
+    "killed": "SIGKILL",
+    "stopped by the kernel": "SIGSTOP",
+    "ended": "SIGTERM",
+    "a clean end": "leave",
+    "a dead-locked executor": "deadlock",
+    "a stuck loop of asyncio": "stick",
+}
+
+
+@pytest.fixture
+def robot() -> Iterator[Robot]:
+    with Robot() as made:
+        yield made
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
+def test_a_gate_that_does_not_live_stops_the_base_and_cancels_the_goal(
+    robot: Robot, fault: str
+) -> None:
+    driving = Driving(robot)
+    begun = driving.fault(fault)
+    stopped, canceled = driving.stopped_ms(begun), driving.canceled_ms(begun)
+    print(f"{fault}: stands after {stopped:.0f} ms, canceled after {canceled:.0f} ms")
+    assert stopped < SOON_MS
+    assert canceled < SOON_MS
+    if fault in {"deadlock", "stick"}:
+        assert driving.gate.process.poll() is None  # the process lives, and that is not enough
+
+
+def test_an_executor_of_several_threads_is_as_dead_when_what_mediates_is_stuck(
+    robot: Robot,
+) -> None:
+    driving = Driving(robot, gate=("several",))
+    begun = driving.fault("deadlock")
+    assert driving.stopped_ms(begun) < SOON_MS
+    assert driving.canceled_ms(begun) < SOON_MS
+
+
+def test_nothing_moves_after_death_until_a_new_life_has_stood_first(robot: Robot) -> None:
+    driving = Driving(robot)
+    begun = driving.fault("SIGKILL")
+    driving.stopped_ms(begun)
+    driving.canceled_ms(begun)
+    died = len(driving.base.velocities())
+    reborn = robot.start("gate")
+    driving.base.open(after=begun)
+    assert set(driving.base.velocities()[died:]) == {0.0}
+    reborn.tell("drive 0.2")
+    driving.base.velocity(0.2, after=begun)
+
+
+def test_a_gate_that_wakes_up_and_goes_on_as_before_moves_nothing(robot: Robot) -> None:
+    """After `SIGCONT` it still says the velocity of a lease that nobody looked at meanwhile."""
+    driving = Driving(robot, gate=("stubborn",))
+    begun = driving.fault("SIGSTOP")
+    driving.stopped_ms(begun)
+    died = len(driving.base.velocities())
+    driving.gate.send(signal.SIGCONT)
+    driving.gate.event("lapsed", after=begun)
+    driving.gate.until_more(50)  # it says it again and again
+    assert set(driving.base.velocities()[died:]) <= {0.0}
+    over = time.monotonic_ns()
+    driving.gate.tell("drive 0")  # the lease is over: a fresh one may come
+    driving.base.open(after=over)
+    driving.gate.tell("drive 0.1")
+    driving.base.velocity(0.1, after=over)
+
+
+def test_the_heartbeat_tells_its_owner_of_its_own_silence_before_it_speaks_again(
+    robot: Robot,
+) -> None:
+    driving = Driving(robot)
+    begun = driving.fault("SIGSTOP")
+    driving.stopped_ms(begun)
+    driving.gate.send(signal.SIGCONT)
+    driving.gate.event("lapsed", after=begun)
+    driving.base.open(after=begun)  # it stood by itself: it dropped what it had
+    assert driving.base.velocities()[-1] == 0.0
+
+
+def test_a_lease_that_ends_stands_the_base_without_a_latch(robot: Robot) -> None:
+    driving = Driving(robot)
+    begun = driving.fault("end")
+    assert driving.stopped_ms(begun) < SOON_MS
+    assert driving.canceled_ms(begun) < SOON_MS
+    driving.gate.tell("drive 0.1")
+    assert driving.base.velocity(0.1, after=begun)["why"] is None
+
+
+def test_the_own_watch_alone_stops_the_base_where_dds_says_nothing(robot: Robot) -> None:
+    driving = Driving(robot, base=("no-events",))
+    begun = driving.fault("SIGKILL")
+    assert driving.stopped_ms(begun) < SOON_MS
+    assert driving.base.velocity(0.0, after=begun)["why"] == "silence"
+
+
+def test_a_base_whose_own_executor_is_stuck_stands(robot: Robot) -> None:
+    driving = Driving(robot)
+    begun = time.monotonic_ns()
+    driving.base.tell("stick")
+    assert driving.stopped_ms(begun) < SOON_MS
+
+
+def test_a_driver_that_fails_is_told_to_stand(robot: Robot) -> None:
+    driving = Driving(robot)
+    begun = time.monotonic_ns()
+    driving.base.tell("fail")
+    assert driving.base.velocity(0.0, after=begun)["why"] == "driver"
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_l3_a_velocity_that_is_no_number_stops_the_base(robot: Robot, value: str) -> None:
+    base, gate = robot.start("base"), robot.start("gate")
+    base.open()
+    gate.tell("drive 0.3")
+    base.velocity(0.3)
+    begun = time.monotonic_ns()
+    gate.tell(f"drive {value}")
+    assert base.velocity(0.0, after=begun)["why"] == "not_finite"
+    assert set(base.velocities()) == {0.0, 0.3}
+
+
+def test_a_rogue_with_the_default_profile_is_not_matched(robot: Robot) -> None:
+    base, gate = robot.start("base"), robot.start("gate")
+    base.open()
+    rogue = robot.start("rogue", "default", "9")
+    rogue.event("incompatible")
+    rogue.until(lambda line: line.get("count") == 50)
+    gate.tell("drive 0.3")  # the base goes on to obey the gate alone
+    base.velocity(0.3)
+    assert set(base.velocities()) == {0.0, 0.3}
+    assert not [line for line in rogue.lines if line["event"] == "matched"]
+
+
+def test_a_second_publisher_with_the_right_profile_latches_a_stop(robot: Robot) -> None:
+    base, gate = robot.start("base"), robot.start("gate")
+    base.open()
+    gate.tell("drive 0.3")
+    base.velocity(0.3)
+    moved = time.monotonic_ns()
+    rogue = robot.start("rogue", "right", "9")
+    assert base.velocity(0.0, after=moved)["why"] == "another_publisher"
+    rogue.until(lambda line: line["event"] == "published" and line["count"] == 50)
+    gate.tell("drive 0")  # both publish: nothing is a fresh lease
+    assert set(base.velocities()) == {0.0, 0.3}
+    assert [line["why"] for line in base.lines[1:] if line["ns"] > moved] == ["another_publisher"]
+    ended = rogue.send(signal.SIGKILL)
+    base.open(after=ended)
+
+
+def test_a_second_publisher_is_found_by_its_first_sample_where_dds_says_nothing(
+    robot: Robot,
+) -> None:
+    base, gate = robot.start("base", "no-events"), robot.start("gate")
+    base.open()
+    gate.tell("drive 0.3")
+    base.velocity(0.3)
+    moved = time.monotonic_ns()
+    robot.start("rogue", "right", "9")
+    assert base.velocity(0.0, after=moved)["why"] == "another_publisher"
+    assert set(base.velocities()) == {0.0, 0.3}
+
+
+def test_two_publishers_that_stand_are_no_lease_where_nobody_says_whose_a_sample_is(
+    robot: Robot,
+) -> None:
+    """rclpy before Kilted: the second one would be taken for the first, and then speed up."""
+    base, gate = robot.start("base", "no-ids"), robot.start("gate")
+    base.open()
+    rogue = robot.start("rogue", "right", "0")
+    began = base.until(lambda line: line.get("why") == "another_publisher")["ns"]
+    rogue.until(lambda line: line["event"] == "published" and line["count"] == 50)
+    assert not [line for line in base.lines if line["ns"] > began]
+    ended = rogue.send(signal.SIGKILL)
+    base.open(after=ended)
+    gate.tell("drive 0.3")
+    base.velocity(0.3)
+
+
+def test_two_gates_stop_the_base_and_cancel_the_goal(robot: Robot) -> None:
+    driving = Driving(robot)
+    begun = time.monotonic_ns()
+    robot.start("gate")
+    assert driving.base.velocity(0.0, after=begun)["why"] == "another_publisher"
+    driving.canceled_ms(begun)
+    driving.deadman.says('"why": "another_publisher"')
+
+
+def test_a_dead_man_that_starts_without_a_heartbeat_cancels_what_runs(robot: Robot) -> None:
+    server, gate = robot.start("server"), robot.start("gate", "mute")
+    gate.tell("goal")
+    server.event("goal began")
+    begun = time.monotonic_ns()
+    robot.run("deadman")
+    server.event("goal canceled", after=begun)
+
+
+def test_a_goal_that_a_server_takes_after_the_death_is_canceled_too(robot: Robot) -> None:
+    """A server may accept late what a dead gate sent: one answer is not the end."""
+    server, deadman = robot.start("server"), robot.run("deadman")
+    deadman.says("lost")
+    late = robot.start("gate", "mute")
+    for _ in range(2):
+        begun = time.monotonic_ns()
+        late.tell("goal")
+        server.event("goal began", after=begun)
+        server.event("goal canceled", after=begun)
+
+
+def test_a_server_that_refuses_to_cancel_is_asked_until_it_yields_and_then_no_more(
+    robot: Robot,
+) -> None:
+    server, deadman = robot.start("refuser"), robot.run("deadman")
+    gate = robot.start("gate")
+    deadman.says("armed")
+    begun = gate.send(signal.SIGKILL)
+    server.event("asked", after=begun)
+    reborn = robot.start("gate")
+    deadman.says("armed", times=2)
+    deadman.says("not canceled")
+    server.event("asked", after=time.monotonic_ns())  # a new gate does not settle it
+    server.tell("yield")
+    server.until(lambda line: line.get("refused") is False)
+    settled = time.monotonic_ns()
+    reborn.until_more(100)
+    assert [line for line in server.lines if line["ns"] > settled] == []
+
+
+def test_a_server_that_answers_late_has_answered(robot: Robot) -> None:
+    """Else it would be asked for ever, and a new gate's goals be canceled for an old one's."""
+    server, deadman = robot.start("server", "slow", "brief"), robot.run("deadman")
+    gate = robot.start("gate")
+    deadman.says("armed")
+    gate.tell("goal")
+    server.event("goal began")
+    begun = gate.send(signal.SIGKILL)
+    server.event("goal canceled", after=begun)
+    reborn = robot.start("gate")
+    for _ in range(10):  # what waits in the server is a few questions, and then no more
+        began = time.monotonic_ns()
+        reborn.tell("goal")
+        server.event("goal began", after=began)
+        if server.ended(after=began)["event"] == "goal succeeded":
+            break
+    server.event("goal succeeded")
+
+
+def test_a_dead_man_without_the_events_of_dds_cancels_by_its_own_watch(robot: Robot) -> None:
+    server, blind, gate = robot.start("server"), robot.start("blind"), robot.start("gate")
+    blind.says("armed")
+    gate.tell("goal")
+    server.event("goal began")
+    begun = gate.send(signal.SIGKILL)
+    assert (server.event("goal canceled", after=begun)["ns"] - begun) / 1e6 < SOON_MS
+    blind.says('"why": "silence"')
+
+
+def test_a_dead_man_says_nothing_and_calls_nothing_but_cancel(robot: Robot) -> None:
+    robot.run("deadman")
+    seen = robot.start("looker", "authguard_deadman").event("seen")
+    topics = [name for name, _ in seen["topics"]]
+    assert topics == ["/parameter_events"]  # every node of rclpy has it
+    assert [name for name, _ in seen["clients"]] == ["/fibonacci/_action/cancel_goal"]
+    assert seen["services"] == []
+
+
+def test_a_relay_stands_before_a_base_that_knows_nothing_of_us(robot: Robot) -> None:
+    wheels = robot.start("wheels", "/base/cmd_vel")
+    relay, gate = robot.run("actuator", "move", "/base/cmd_vel"), robot.start("gate")
+    relay.says("moves")
+    gate.tell("drive 0.3")
+    wheels.velocity(0.3)
+    begun = gate.send(signal.SIGKILL)
+    stopped = wheels.velocity(0.0, after=begun)
+    assert (stopped["ns"] - begun) / 1e6 < SOON_MS
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "where"),
+    [
+        ("actuator", ("count", "/base/cmd_vel"), "mediated"),
+        ("actuator", ("move", "/elsewhere"), "processes./robot/base.publishes"),
+    ],
+)
+def test_a_relay_takes_only_what_the_map_gives_it(
+    robot: Robot, module: str, words: tuple[str, ...], where: str
+) -> None:
+    refused = robot.run(module, *words, waits=False)
+    assert refused.process.wait(60) == 2
+    refused.says("refused")
+    assert json.loads(refused.errors[-1])["where"] == where
+
+
+def test_words_of_ros_are_refused(robot: Robot, tmp_path: Path) -> None:
+    words = ("--ros-args", "-r", "/authguard/heartbeat:=/elsewhere")
+    refused = robot.run("deadman", *words, waits=False)
+    assert refused.process.wait(60) == 2
+    refused.says("expected MAP")
