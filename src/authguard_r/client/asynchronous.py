@@ -20,13 +20,14 @@ from authguard_r.client.questions import asking, read_questions, signed_answer, 
 from authguard_r.client.session import OnEvent, Sent, answer_of, done_of, unreachable
 from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unanswered
 from authguard_r.core.approval import Verdict
-from authguard_r.core.identifiers import RobotId
+from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.ports import Signer
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (
     Act,
     Attest,
     ClientRole,
+    Close,
     Evaluate,
     Explain,
     Kind,
@@ -35,6 +36,7 @@ from authguard_r.wire.messages import (
     Order,
     Propose,
     Records,
+    Sample,
     Stop,
     Welcome,
 )
@@ -126,6 +128,20 @@ class AsyncGateClient:
         """
         message = Propose(key=key if key is not None else fresh(), plan=plan, dialect=dialect)
         return await self._final(self._session.request(Kind.PROPOSE, message), on_step, timeout_ms)
+
+    async def sample(self, ticket: Digest, params: dict[str, int]) -> bool:
+        """Change a stream's velocities while `propose` waits; False: zero was sent in their place.
+
+        Args:
+            ticket: of its release, which `propose` tells of while it waits.
+            params: every velocity of the action.
+        """
+        said = await self._quick(Kind.SAMPLE, Sample(ticket=ticket, params=params))
+        return said.get("forwarded") is True
+
+    async def close_stream(self, ticket: Digest) -> None:
+        """End an open stream; what `propose` returns then says how it ended."""
+        await self._quick(Kind.CLOSE, Close(ticket=ticket))
 
     async def observe(self, channel: str, text: str) -> None:
         """Tell the gate what the planner was shown, before it proposes."""
