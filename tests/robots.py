@@ -30,6 +30,7 @@ def gate_of(
     tools: Mapping[str, Sequence[str]] | None = None,
     objects: Mapping[str, Sequence[str]] | None = None,
     grants: Sequence[Mapping[str, Any]] = (),
+    profile: Mapping[str, int] | None = None,
     mode: Mode = Mode.ENFORCE,
 ) -> Iterator[RunningGate]:
     """Yield a gate of the hospital's courier, in the standard words that a binding speaks.
@@ -40,6 +41,7 @@ def gate_of(
         tools: what this robot can do beside what the hospital's can, by type.
         objects: names of things that the hospital does not have, by identifier.
         grants: what its mission grants beside the hospital's.
+        profile: what its profile says beside the hospital's.
         mode: it enforces, or only watches.
     """
     plain = yaml.safe_load((worlds.HOSPITAL / "site.yaml").read_text())
@@ -47,6 +49,7 @@ def gate_of(
     plain["words"] = "standard"
     for name, names in (objects or {}).items():
         plain["objects"][name] = {"kind": "part", "home": "dock", "mass_g": 1, "names": [*names]}
+    plain["robots"][worlds.RID]["profile"] |= profile or {}
     for name, on in (tools or {}).items():
         plain["robots"][worlds.RID]["profile"]["tools"][name] = [*on]
     path, trust = folder / "site.yaml", folder / "trust"

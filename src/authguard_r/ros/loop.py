@@ -33,7 +33,7 @@ class Spinner:
     def __init__(self, node: Any, failed: Callable[[BaseException], None]) -> None:
         self.node = node
         self._failed = failed
-        self._loop = asyncio.get_running_loop()
+        self.loop = asyncio.get_running_loop()
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._serve, name="ros", daemon=True)
@@ -48,7 +48,7 @@ class Spinner:
 
     async def do(self, work: Callable[..., T], *args: Any) -> T:
         """Return what a function returns that is called on the thread."""
-        found: asyncio.Future[T] = self._loop.create_future()
+        found: asyncio.Future[T] = self.loop.create_future()
 
         def run() -> None:
             try:
@@ -66,7 +66,7 @@ class Spinner:
 
         Canceled, it waits no more; what was asked was asked.
         """
-        found: asyncio.Future[Any] = self._loop.create_future()
+        found: asyncio.Future[Any] = self.loop.create_future()
 
         def answered(future: Any) -> None:
             try:
@@ -87,7 +87,7 @@ class Spinner:
 
     def begin(self, work: Coroutine[Any, Any, T]) -> asyncio.Task[T]:
         """Begin work in the event loop, and keep it until it is done."""
-        task = self._loop.create_task(work)
+        task = self.loop.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return task
@@ -106,7 +106,7 @@ class Spinner:
     def soon(self, call: Callable[..., object], *args: Any) -> None:
         """Call a function in the event loop; dropped once that is closed."""
         with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(call, *args)
+            self.loop.call_soon_threadsafe(call, *args)
 
     def later(self, work: Callable[[], Coroutine[Any, Any, T]], otherwise: T) -> Any:
         """Begin work in the event loop; return a future that a callback on the thread may await.

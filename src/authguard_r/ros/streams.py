@@ -50,7 +50,7 @@ class StreamInlet:
 
     def __init__(self, public: Public, key: str, item: Mediated, kind: Any, binder: Binder) -> None:
         self._public, self._key, self._item, self._binder = public, key, item, binder
-        self._loop = asyncio.get_running_loop()
+        self._loop = public.spinner.loop
         self._waiting: deque[dict[str, int] | None] = deque(maxlen=_MOST_WAITING)
         self._news = asyncio.Event()
         self._stream: asyncio.Task[None] | None = None
