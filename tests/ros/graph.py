@@ -24,12 +24,16 @@ with warnings.catch_warnings():  # its parser's own
     import rosidl_generator_py  # noqa: F401
 
 import rclpy
+from geometry_msgs.msg import Twist
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import UInt8
+from std_srvs.srv import Empty, Trigger
+from test_msgs.action import Fibonacci
 
 import worlds
 from gates import RunningGate, environment, until
@@ -134,6 +138,66 @@ class Arm:
         return self.result
 
 
+class Base:
+    """A robot's wheels: every velocity that it was told.
+
+    Args:
+        peer: its node.
+        kind: the message's class.
+        name: the topic.
+    """
+
+    def __init__(self, peer: Peer, kind: Any, name: str) -> None:
+        self.told: list[Any] = []
+        peer.node.create_subscription(kind, name, self.told.append, 10, callback_group=peer.group)
+
+    @property
+    def speeds(self) -> list[float]:
+        """Return how fast it was told to go ahead."""
+        return [message.linear.x for message in self.told]
+
+
+class Robot(Peer):
+    """The hospital's courier: an arm, a horn, a lamp, wheels, and something to clear."""
+
+    def __init__(self, domain: int) -> None:
+        super().__init__("robot", domain)
+        self.arm = Arm(self, Fibonacci, "/fibonacci")
+        self.base = Base(self, Twist, "/cmd_vel")
+        self.calls: list[str] = []
+        self.lamps: list[int] = []
+        node, group = self.node, self.group
+        node.create_service(Trigger, "/horn", self._honk, callback_group=group)
+        node.create_service(Empty, "/clear", self._clear, callback_group=group)
+        node.create_subscription(
+            UInt8, "/lamp", lambda m: self.lamps.append(m.data), 10, callback_group=group
+        )
+
+    def _honk(self, _: object, answer: Any) -> Any:
+        self.calls.append("horn")
+        answer.success, answer.message = True, "honked"
+        return answer
+
+    def _clear(self, _: object, answer: Any) -> Any:
+        self.calls.append("clear")
+        return answer
+
+
+class Stick:
+    """A planner's velocities, published fifty times a second from its first one on."""
+
+    def __init__(self, peer: Planner, kind: Any, name: str) -> None:
+        self._publisher = peer.publisher(kind, name)
+        self.message: Any = None
+        self.sent = 0
+        peer.node.create_timer(0.02, self._send, callback_group=peer.group)
+
+    def _send(self) -> None:
+        if self.message is not None:
+            self._publisher.publish(self.message)
+            self.sent += 1
+
+
 class Goal:
     """A planner's goal: its answer, feedback and result."""
 
@@ -196,7 +260,7 @@ class Graph:
         self._folder, self._gate = folder, gate
         self._peers: list[Peer] = []
         self.process: subprocess.Popen[str] | None = None
-        self.robot = self.add(Peer("robot", domain))
+        self.robot: Robot = self.add(Robot(domain))
 
     def add(self, peer: Any) -> Any:
         self._peers.append(peer)
@@ -212,10 +276,10 @@ class Graph:
         path = self._folder / "map.yaml"
         path.write_text(source.read_text().replace("domain: 1", f"domain: {self.domain}"))
         words = ["--map", path, "--run", gate.run, "--site", gate.site, "--trust", gate.trust]
+        words += ["--binding", gate.binding]
         self._errors = (self._folder / "node.err").open("w")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "authguard_r.ros.node", *map(str, words)]
-            + ["--binding", str(gate.binding)],
+            [sys.executable, "-m", "authguard_r.ros.node", *map(str, words)],
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
@@ -247,13 +311,12 @@ class Graph:
 
 @contextmanager
 def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
-    """Yield a graph with a robot in it; print what its node said when a test fails."""
+    """Yield a graph with a robot in it; print at its end what its node and the gate said."""
     made = Graph(folder, gate, next(_domains) % 101 + 1)
     try:
         yield made
-    except BaseException:
-        if made.process is not None:
-            print(made.said())
-        raise
     finally:
         made.end()
+        if made.process is not None:  # pytest shows it when the test fails
+            print(made.said())
+            print([(one.kind, one.decision, one.reasons) for one in gate.news()])

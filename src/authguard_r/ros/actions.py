@@ -163,6 +163,8 @@ class ActionInlet:
         try:
             asked = await self._propose(going)
             is_noted = asked is not None and bool(asked.results)
+            if asked is not None and asked.execution is None:
+                self._public.log.say("refused", self._key, reasons=", ".join(asked.step["reasons"]))
         finally:
             going.answer(is_taken=False)
         if going.taken.result():

@@ -16,6 +16,7 @@ from contextlib import suppress
 from msgspec import Struct
 from msgspec.structs import replace
 
+from authguard_r.client.link import Log
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, ParameterId, RobotId
@@ -61,21 +62,28 @@ class RosBody:
         rid: which.
         means: what it is driven with.
         changed: called when something ended.
+        log: says what happens.
     """
 
     obeys = True
     late_ms = 0
 
-    def __init__(self, rid: RobotId, means: Means, changed: Callable[[], None]) -> None:
+    def __init__(self, rid: RobotId, means: Means, changed: Callable[[], None], log: Log) -> None:
         self.rid = rid
         self.outlets: dict[str, Outlet] = {}
         vocabulary = means.site.vocabulary.values()
         self.sampled = frozenset(name for kind in vocabulary for name in velocities(kind))
         self._means = means
         self._changed = changed
+        self._log = log
         self._release: Release | None = None
         self._action: Action | None = None  # of a stream that runs
         self._stopping: asyncio.Task[None] | None = None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What of the robot is not there, by its name in the map."""
+        return tuple(key for key, outlet in self.outlets.items() if not outlet.is_there)
 
     @property
     def stands(self) -> bool:
@@ -89,6 +97,13 @@ class RosBody:
             ControllerError: nothing that is mediated carries the action, the robot's part of it is
                 not there, or the robot is still being stopped.
         """
+        try:
+            return self._begun(action, ticket)
+        except ControllerError as error:
+            self._log.say("not begun", str(action.type), message=error.message)
+            raise
+
+    def _begun(self, action: Action, ticket: Digest) -> Flight:
         if not self.stands:
             raise ControllerError("the robot is being stopped, and nobody says that it stands")
         try:
@@ -98,6 +113,8 @@ class RosBody:
             wanted = self._means.binder.succeeds(call)
         except MalformedError as error:
             raise ControllerError(f"{error.message} at `{error.where}`") from error
+        if not outlet.is_there:
+            raise ControllerError(f"the robot's part of `{key}` is not there")
         kind = self._means.site.vocabulary[action.type]
         release = Release(kind, key)
         duration_ms = action.params.get(ParameterId(DURATION), 0)

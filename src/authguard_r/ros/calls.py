@@ -54,7 +54,9 @@ FORMS = {
 def call_of(item: Mediated, plain: dict[str, Any]) -> Call:
     """Return the call that a planner's message is; its content is untrusted."""
     form = FORMS[item.kind]
-    arguments = {form.name: item.private, form.type: item.type, form.body: plain}
+    arguments: dict[str, Any] = {form.name: item.private, form.type: item.type}
+    if plain:  # a type without a field says nothing
+        arguments[form.body] = plain
     return Call(form.tool, arguments, "ros")
 
 

@@ -16,7 +16,6 @@ from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.qos import qos_profile_action_status_default
 
-from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
 from authguard_r.ros.outlets import STOP_S, Order, Robot, fields_of
 from authguard_r.ros.releases import Release
@@ -68,10 +67,13 @@ class ActionOutlet:
         self._goal: Any = None
         self._asked_s = 0.0
 
+    @property
+    def is_there(self) -> bool:
+        """True while somebody serves it."""
+        return bool(self._client.server_is_ready())
+
     def begin(self, order: Order) -> None:
         """Send the goal."""
-        if not self._client.server_is_ready():
-            raise ControllerError("the robot's action server is not there")
         self._order, self._goal = order, None
         self._asked_s = asyncio.get_running_loop().time()
         self._robot.spinner.begin(self._attend(order))

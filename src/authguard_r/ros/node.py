@@ -55,6 +55,9 @@ from authguard_r.tools.given import given_binding, trusted_site
 
 #: A gate that is there is connected, and a robot that runs stands, within this, in seconds.
 START_S = 30.0
+#: What of the robot has not come by then, in seconds, is not waited for.
+ROBOT_S = 10.0
+_LOOK_S = 0.02
 NAME, NAMESPACE = "gate", "/authguard"
 _PARTS = {
     Kind.ACTION: Part.ACTION,
@@ -110,7 +113,7 @@ class Mediator:
             rebuilder=Rebuilder(site, spoken),
             releases=releases,
         )
-        self.body = RosBody(robot, means, self._look)
+        self.body = RosBody(robot, means, self._look, log)
         gate = GatePlace(robot=robot, run=place.run, trust=place.trust, client=place.client)
         self.proposals = Proposals(gate, releases)
         self.proven = asyncio.Event()
@@ -241,7 +244,7 @@ async def _raised(failed: asyncio.Future[None]) -> None:
 
 
 async def _ready(mediator: Mediator) -> None:
-    """Wait for the gate, and stop whatever runs.
+    """Wait for the gate and a while for the robot, and stop whatever runs.
 
     Raises:
         EnvironmentFault: the gate did not come, or nobody says that the robot stands.
@@ -254,6 +257,10 @@ async def _ready(mediator: Mediator) -> None:
         raise EnvironmentFault(
             "the gate did not come in time", reason=Reason.CONTROLLER_FAILED, where="run"
         ) from error
+    with suppress(TimeoutError):
+        async with asyncio.timeout(ROBOT_S):
+            while mediator.body.missing:
+                await asyncio.sleep(_LOOK_S)
     if not await mediator.body.at_rest(START_S):
         raise EnvironmentFault(
             "nobody says that the robot stands", reason=Reason.CONTROLLER_FAILED, where="robot"
@@ -261,7 +268,7 @@ async def _ready(mediator: Mediator) -> None:
 
 
 def main() -> None:
-    """Serve until SIGTERM or SIGINT; a line of JSON says that it serves."""
+    """Serve until SIGTERM or SIGINT; a line of JSON says so, and what of the robot is missing."""
     asks = argparse.ArgumentParser(prog="python -m authguard_r.ros.node")
     for name in ("map", "run", "site", "trust"):
         asks.add_argument(f"--{name}", type=Path, required=True)
@@ -289,8 +296,9 @@ async def _serve(given: argparse.Namespace) -> None:
     loop = asyncio.get_running_loop()
     for sign in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(sign, over.set)
-    async with mediating(place, Log()):
-        sys.stdout.write(json.dumps({"ready": True}) + "\n")
+    async with mediating(place, Log()) as mediator:
+        told = {"ready": True, "missing": list(mediator.body.missing)}
+        sys.stdout.write(json.dumps(told) + "\n")
         with suppress(OSError):
             sys.stdout.flush()
         await over.wait()

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from msgspec import Struct
 from rclpy.callback_groups import ReentrantCallbackGroup
 
-from authguard_r.core.errors import ControllerError, MalformedError
+from authguard_r.core.errors import MalformedError
 from authguard_r.core.standing import Outcome
 from authguard_r.normalize.binding import Constant
 from authguard_r.ros.loop import Spinner
@@ -70,8 +70,13 @@ class Outlet(Protocol):
         """The class of the message that it is given."""
         ...
 
+    @property
+    def is_there(self) -> bool:
+        """True while the robot's own part of it is there."""
+        ...
+
     def begin(self, order: Order) -> None:
-        """Begin to carry it out.
+        """Begin to carry it out; its robot's part `is_there`.
 
         Raises:
             ControllerError: it cannot be, and nothing has moved.
@@ -104,10 +109,13 @@ class ServiceOutlet:
         self._idle = asyncio.Event()
         self._idle.set()
 
+    @property
+    def is_there(self) -> bool:
+        """True while somebody serves it."""
+        return bool(self._client.service_is_ready())
+
     def begin(self, order: Order) -> None:
         """Call it."""
-        if not self._client.service_is_ready():
-            raise ControllerError("the robot's service is not there")
         self._order = order
         self._idle.clear()
         self._robot.spinner.begin(self._carry(order))
@@ -158,10 +166,13 @@ class MessageOutlet:
             kind, name, _DEPTH, callback_group=robot.group
         )
 
+    @property
+    def is_there(self) -> bool:
+        """True while somebody hears it."""
+        return bool(self._publisher.get_subscription_count() > 0)
+
     def begin(self, order: Order) -> None:
         """Publish it."""
-        if self._publisher.get_subscription_count() < 1:
-            raise ControllerError("nobody of the robot hears the topic")
         order.release.take()
         self._publisher.publish(order.message)
         order.release.end(Outcome.SUCCEEDED)

@@ -73,10 +73,13 @@ class StreamOutlet:
         """True once it was told zero for as long as it needs to brake, if somebody hears that."""
         return self._message is self._zero and mono_ms() >= self._stood_ms
 
+    @property
+    def is_there(self) -> bool:
+        """True while somebody hears it."""
+        return bool(self._publisher.get_subscription_count() > 0)
+
     def begin(self, order: Order) -> None:
-        """Publish the first velocity."""
-        if self._publisher.get_subscription_count() < 1:
-            raise ControllerError("no base of the robot hears the topic")
+        """Take the order; `steer` says its first velocity."""
         self._order, self._is_sampled = order, False
         self._ends_ms = mono_ms() + order.duration_ms
         order.release.take()
@@ -138,7 +141,7 @@ class StreamOutlet:
 
     def _heard(self) -> bool:
         """True when somebody hears zero, or nobody was ever told to move."""
-        return not self._speed_mm_s or self._publisher.get_subscription_count() > 0
+        return not self._speed_mm_s or self.is_there
 
 
 def braking_ms(profile: Profile, speed_mm_s: int) -> int:
