@@ -135,12 +135,8 @@ class RosBody:
         return release.flight
 
     def streams(self, action: Action) -> bool:
-        """Return True for velocities that are published as they come."""
-        try:
-            key, _ = self._rebuilt(action)
-        except MalformedError:
-            return False
-        return isinstance(self.outlets[key], StreamOutlet)
+        """Return True for velocities that run, and are published as they come."""
+        return self._action is not None and action == self._action
 
     def steer(self, params: Mapping[str, int]) -> None:
         """Publish these velocities at once; what they do not name is zero."""
