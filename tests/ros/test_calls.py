@@ -25,7 +25,9 @@ id: yard
 version: 1
 words: standard
 regions:
-  lane: {map: main, floor: 0, points: [[0, 0], [9, 0], [9, 9], [0, 9]], approach: [4, 4], tags: [], names: []}
+  lane:
+    {map: main, floor: 0, points: [[0, 0], [9, 0], [9, 9], [0, 9]], approach: [4, 4], tags: [],
+     names: []}
 doors: []
 objects: {}
 robots: {}
