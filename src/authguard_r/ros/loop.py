@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One thread that spins a node, beside the event loop that has the gate's ends.
 
-What belongs to ROS is touched on the thread alone, for `rclpy` loses an answer that comes while
-another thread still sends the question; all else is touched in the event loop alone. A callback
-that raises ends the thread, and with it the node. Spec page: docs/spec/ros.md#threads
+What is asked of ROS is asked on the thread alone, for `rclpy` loses an answer that comes while
+another thread still sends the question. The event loop publishes, and looks who is there. A
+callback that raises ends the thread, and with it the node. Spec page: docs/spec/ros.md#threads
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import Any
 
 from authguard_r.client import AsyncGateClient
+from authguard_r.client.steering import Steering
 from authguard_r.core.action import Action
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Digest
@@ -102,8 +103,8 @@ class StreamInlet:
         steering: list[asyncio.Task[None]] = []
 
         def through(gate: AsyncGateClient, ticket: str) -> None:
-            names = tuple(first)
-            steering.append(self._public.spinner.begin(self._steer(gate, Digest(ticket), names)))
+            stream = Steering(gate, Digest(ticket))
+            steering.append(self._public.spinner.begin(self._steer(stream, tuple(first))))
 
         code = ""
         try:
@@ -120,17 +121,17 @@ class StreamInlet:
             self._paused_s = self._loop.time()
             self._public.log.say("refused", self._key, reason=code)
 
-    async def _steer(self, gate: AsyncGateClient, ticket: Digest, names: tuple[str, ...]) -> None:
+    async def _steer(self, stream: Steering, names: tuple[str, ...]) -> None:
         """Send on what comes, as long as something comes; then end the stream."""
         try:
             while self._loop.time() - self._heard_s < SILENT_S:
                 while self._waiting:
                     sample = self._waiting.popleft()
-                    await gate.sample(ticket, sample or dict.fromkeys(names, 0))
+                    await stream.sample(sample or dict.fromkeys(names, 0))
                 self._news.clear()
                 with suppress(TimeoutError):
                     await asyncio.wait_for(self._news.wait(), _LOOK_S)
-            await gate.close_stream(ticket)
+            await stream.close()
         except AuthGuardError:  # it is over, or the gate is: the proposal's answer says which
             return
 
