@@ -44,6 +44,18 @@ HERE = Path(__file__).resolve().parent
 _domains = itertools.count(1 + os.getpid() % 90)
 
 
+#: A mission of many short actions.
+BUDGETS = {
+    "actions": 10_000,
+    "rate": {"count": 10_000, "per": "10 s"},
+    "motion": "20 min",
+    "waiting": "0 s",
+    "recorded_bytes": 0,
+    "prompts": 5,
+    "planner_stops": 30,
+}
+
+
 class Peer:
     """A node with a thread of its own.
 

@@ -23,7 +23,7 @@ from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPo
 
 from gates import RunningGate, until
 from robots import gate_of
-from ros.graph import HERE, Arm, Goal, Graph, Planner, graph_of
+from ros.graph import BUDGETS, HERE, Arm, Goal, Graph, Planner, graph_of
 
 GO = {
     "id": "go",
@@ -45,7 +45,7 @@ PHARMACY, ISOLATION = (4.2, 5.3), (21.0, -3.0)
 @pytest.fixture(scope="module")
 def gate() -> Iterator[RunningGate]:
     folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
-    with gate_of(folder, "nav2", grants=[GO]) as made:
+    with gate_of(folder, "nav2", grants=[GO], changes={"budgets": BUDGETS}) as made:
         yield made
 
 
