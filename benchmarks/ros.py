@@ -5,8 +5,8 @@ Run in an environment with rclpy, in a network namespace of its own:
 
     unshare -rn sh -c 'ip link set lo up; python benchmarks/ros.py --json out.json'
 
-The same robot, planner and process are asked both ways, in turns; medians, in milliseconds. The bare
-fsync is that of the gate's own file system in the same run.
+The same robot, planner and process are asked both ways, in turns; medians, in milliseconds. The
+bare fsync is that of the gate's own file system in the same run.
 """
 
 from __future__ import annotations
@@ -140,13 +140,13 @@ def services(planner: Planner, trials: int) -> dict[str, float]:
 
 def velocities(graph: Graph, planner: Planner, seconds: float) -> dict[str, float]:
     """Return how long a velocity takes to the base, fifty a second; and how many were lost."""
-    heard: dict[str, dict[float, float]] = {"direct": {}, "gate": {}}
+    heard: dict[str, dict[int, float]] = {"direct": {}, "gate": {}}
     robot = graph.robot
     for way, topic in (("direct", "/beside"), ("gate", "/cmd_vel")):
         robot.node.create_subscription(
             Twist,
             topic,
-            lambda m, way=way: heard[way].setdefault(m.linear.x, time.perf_counter()),
+            lambda m, way=way: heard[way].setdefault(number_of(m), time.perf_counter()),
             10,
             callback_group=robot.group,
         )
@@ -154,37 +154,42 @@ def velocities(graph: Graph, planner: Planner, seconds: float) -> dict[str, floa
     for way, topic in (("direct", "/beside"), ("gate", "/llm/cmd_vel")):
         publisher = planner.publisher(Twist, topic)
         sent = steered(publisher, heard[way], seconds)
-        took = [heard[way][x] - at for x, at in sent.items() if x in heard[way]]
+        took = [heard[way][n] - at for n, at in sent.items() if n in heard[way]]
         found[way] = middle(took)
         found[f"{way}, slowest"] = round(1e3 * max(took), 3)
         found[f"{way}, lost"] = len(sent) - len(took)
     return {**found, "added": round(found["gate"] - found["direct"], 3)}
 
 
-def steered(publisher: Any, heard: dict[float, float], seconds: float) -> dict[float, float]:
+def steered(publisher: Any, heard: dict[int, float], seconds: float) -> dict[int, float]:
     """Publish a velocity every 20 ms, each another one; return when each was, once a lease runs."""
     message = Twist()
-    message.linear.x = 0.05
+    message.linear.x = 0.1
+
+    def publish(number: int) -> None:
+        message.angular.z = number / 1e6
+        publisher.publish(message)
 
     def begun() -> bool:
-        publisher.publish(message)
+        publish(1)
         time.sleep(0.02)
-        return 0.05 in heard
+        return 1 in heard
 
     until(begun, "the lease")
-    sent: dict[float, float] = {}
+    sent: dict[int, float] = {}
     end = time.perf_counter() + seconds
-    number = 0
     while (now := time.perf_counter()) < end:
-        number += 1
-        message.linear.x = round(0.06 + 0.001 * (number % 240), 3)
-        if message.linear.x in heard:
-            heard.pop(message.linear.x)
-        sent[message.linear.x] = time.perf_counter()
-        publisher.publish(message)
+        number = 2 + len(sent)
+        sent[number] = now
+        publish(number)
         time.sleep(max(0.0, 0.02 - (time.perf_counter() - now)))
-    time.sleep(0.2)
+    until(lambda: number in heard, "the last one", seconds=5)
     return sent
+
+
+def number_of(message: Twist) -> int:
+    """Return which of them a velocity is: how fast it turns."""
+    return round(message.angular.z * 1e6)
 
 
 def fsyncs(folder: Path, trials: int) -> list[float]:
