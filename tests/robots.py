@@ -30,6 +30,8 @@ def gate_of(
     tools: Mapping[str, Sequence[str]] | None = None,
     objects: Mapping[str, Sequence[str]] | None = None,
     grants: Sequence[Mapping[str, Any]] = (),
+    profile: Mapping[str, int] | None = None,
+    changes: Mapping[str, Any] | None = None,
     mode: Mode = Mode.ENFORCE,
 ) -> Iterator[RunningGate]:
     """Yield a gate of the hospital's courier, in the standard words that a binding speaks.
@@ -40,6 +42,8 @@ def gate_of(
         tools: what this robot can do beside what the hospital's can, by type.
         objects: names of things that the hospital does not have, by identifier.
         grants: what its mission grants beside the hospital's.
+        profile: what its profile says beside the hospital's.
+        changes: fields of the draft of its mission that are not the hospital's.
         mode: it enforces, or only watches.
     """
     plain = yaml.safe_load((worlds.HOSPITAL / "site.yaml").read_text())
@@ -47,6 +51,7 @@ def gate_of(
     plain["words"] = "standard"
     for name, names in (objects or {}).items():
         plain["objects"][name] = {"kind": "part", "home": "dock", "mass_g": 1, "names": [*names]}
+    plain["robots"][worlds.RID]["profile"] |= profile or {}
     for name, on in (tools or {}).items():
         plain["robots"][worlds.RID]["profile"]["tools"][name] = [*on]
     path, trust = folder / "site.yaml", folder / "trust"
@@ -54,14 +59,15 @@ def gate_of(
     init_folder(trust, demo_members(read_site(path), (worlds.RID,)), now=datetime.now(UTC))
     made = RunningGate(site=path, trust=trust, binding=Path(binding), mode=mode)
     with made, attesting(made):
-        draft = worlds.draft("mission.yaml")
+        draft = worlds.draft("mission.yaml", **(changes or {}))
         given = {"chooser": "operator", "repeat": 20, "starts": 20, "max": "20 s"}
         more = [{**given, "irreversible": False, **grant} for grant in grants]
         risks = draft["risk_policy"]
         types = {**risks["types"], **dict.fromkeys((grant["type"] for grant in grants), 0)}
         classes = {**risks["object_classes"], "part": 0}
         risks = {**risks, "types": types, "object_classes": classes}
-        mission = made.mission(grants=[*draft["grants"], *more], risk_policy=risks)
+        mine = {"grants": [*draft["grants"], *more], "risk_policy": risks}
+        mission = made.mission(**{**(changes or {}), **mine})
         made.activate(made.token(mission))
         yield made
 

@@ -4,7 +4,7 @@
 ROS 2's wheels have no DDS security, so these are processes of Debian's Cyclone DDS, on the topic,
 the type and the files that ROS 2 would use; `.ci/run` makes them, `AUTHGUARD_DDS` names the folder.
 They run in a network of their own, which nothing else is in.
-Source: lessons L1, L7; docs/spec/ros.md#denial
+Source: lessons L1, L7; docs/spec/ros-map.md#denial
 """
 
 from __future__ import annotations

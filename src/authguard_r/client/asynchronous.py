@@ -129,11 +129,11 @@ class AsyncGateClient:
 
     async def observe(self, channel: str, text: str) -> None:
         """Tell the gate what the planner was shown, before it proposes."""
-        await self._quick(Kind.OBSERVE, Observe(channel=channel, text=text))
+        await self.ask(Kind.OBSERVE, Observe(channel=channel, text=text))
 
     async def attest(self, token: bytes) -> None:
         """Hand in a signed snapshot."""
-        await self._quick(Kind.SNAPSHOT, Attest(token=token))
+        await self.ask(Kind.SNAPSHOT, Attest(token=token))
 
     async def activate(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Take in a signed mission and make it active; return its standing."""
@@ -154,11 +154,11 @@ class AsyncGateClient:
             token: the signed answer.
             why: the approver's words, for the log; no planner hears of them.
         """
-        return await self._quick(Kind.ORDER, Order(act=Act.APPROVE, token=token, why=why))
+        return await self.ask(Kind.ORDER, Order(act=Act.APPROVE, token=token, why=why))
 
     async def approvals(self) -> tuple[Question, ...]:
         """Return every open approval request of the active mission."""
-        return read_questions(await self._quick(Kind.APPROVALS, asking())).requests
+        return read_questions(await self.ask(Kind.APPROVALS, asking())).requests
 
     async def approval(self, counter: int) -> Question:
         """Return the open request with this number; `client.questions.shown` reads its bytes.
@@ -166,7 +166,7 @@ class AsyncGateClient:
         Raises:
             RefusedError: no open request has it.
         """
-        return the_one(read_questions(await self._quick(Kind.APPROVALS, asking(counter))), counter)
+        return the_one(read_questions(await self.ask(Kind.APPROVALS, asking(counter))), counter)
 
     async def answer(
         self, question: Question, verdict: Verdict, signer: Signer, *, why: str = ""
@@ -182,7 +182,7 @@ class AsyncGateClient:
         Raises:
             AuthGuardError: what was shown is not what would be signed, or the gate refused it.
         """
-        return await self._quick(Kind.ORDER, signed_answer(question, verdict, signer, why=why))
+        return await self.ask(Kind.ORDER, signed_answer(question, verdict, signer, why=why))
 
     async def template(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Take in a signed mission template, or withdraw one; return its standing."""
@@ -202,23 +202,23 @@ class AsyncGateClient:
 
     async def evaluate(self, plan: bytes, *, dialect: str = "auto") -> dict[str, Any]:
         """Return what the gate would decide; nothing is used, recorded or released."""
-        return await self._quick(Kind.EVALUATE, Evaluate(plan=plan, dialect=dialect))
+        return await self.ask(Kind.EVALUATE, Evaluate(plan=plan, dialect=dialect))
 
     async def status(self) -> dict[str, Any]:
         """Return the robot, its mission, its open leases and who was last heard."""
-        return await self._quick(Kind.STATUS, Nothing())
+        return await self.ask(Kind.STATUS, Nothing())
 
     async def records(self, first: int, count: int = 100) -> dict[str, Any]:
         """Return a page of the log."""
-        return await self._quick(Kind.RECORDS, Records(first=first, count=count))
+        return await self.ask(Kind.RECORDS, Records(first=first, count=count))
 
     async def explain(self, seq: int | None = None) -> dict[str, Any]:
         """Return why a record says what it says; without a number, the last refusal."""
-        return await self._quick(Kind.EXPLAIN, Explain(seq=seq))
+        return await self.ask(Kind.EXPLAIN, Explain(seq=seq))
 
     async def metrics(self) -> dict[str, Any]:
         """Return the gate's counts, without a word of any mission."""
-        return await self._quick(Kind.METRICS, Nothing())
+        return await self.ask(Kind.METRICS, Nothing())
 
     async def watch(self, *, idle_ms: int | None = None) -> AsyncIterator[dict[str, Any]]:
         """Return what happens from now on, as it happens.
@@ -239,7 +239,7 @@ class AsyncGateClient:
         Returns:
             Whether a controller was there and said that the robot stands, and after how long.
         """
-        return await self._quick(Kind.STOP, Stop(why=why))
+        return await self.ask(Kind.STOP, Stop(why=why))
 
     async def send(self, kind: Kind, message: object, *, number: int | None = None) -> int:
         """Send a message without waiting for an answer; one that comes is among `frames`.
@@ -264,6 +264,10 @@ class AsyncGateClient:
         """
         while True:
             yield await self._wait(self._session.take_pushed, None)
+
+    async def ask(self, kind: Kind, message: object) -> dict[str, Any]:
+        """Send a request and return its answer, which comes at once."""
+        return await self._final(self._session.request(kind, message), None, self._timeout_ms)
 
     async def close(self) -> None:
         """Let go of the connection."""
@@ -301,10 +305,7 @@ class AsyncGateClient:
 
     async def _order(self, act: Act, token: bytes, said: bytes | None = None) -> dict[str, Any]:
         order = Order(act=act, token=token, confirmation=said)
-        return done_of(act, await self._quick(Kind.ORDER, order))
-
-    async def _quick(self, kind: Kind, message: object) -> dict[str, Any]:
-        return await self._final(self._session.request(kind, message), None, self._timeout_ms)
+        return done_of(act, await self.ask(Kind.ORDER, order))
 
     async def _final(
         self, sent: Sent, on_event: OnEvent | None, timeout_ms: int | None

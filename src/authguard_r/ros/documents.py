@@ -3,7 +3,7 @@
 
 Reading is strict about what it understands and takes the rest for the worst: a pattern that might
 match does match, and a rule that denies takes nothing back.
-Spec page: docs/spec/ros.md#keystore
+Spec page: docs/spec/ros-map.md#keystore
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 It need not be one that we made: what counts is what its signed documents let through. Whatever
 cannot be read, or is not understood, is a fault.
-Spec page: docs/spec/ros.md#check
+Spec page: docs/spec/ros-map.md#check
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 Every right is worked out from the map. The authority that says who somebody is and the one that
 says what he may do are two: whoever holds one of their keys cannot do with that alone.
-Spec page: docs/spec/ros.md#keystore
+Spec page: docs/spec/ros-map.md#keystore
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 The node, the keystore and its check read the same file: what the gate offers and what DDS lets
 through cannot differ. It holds no authority: what a goal means, the binding says, and whether it is
-granted, the mission. Spec page: docs/spec/ros.md#map
+granted, the mission. Spec page: docs/spec/ros-map.md#map
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 names and types, as the executor resolves them: absolute, whole, and never a pattern.
 
-Spec page: docs/spec/ros.md#names
+Spec page: docs/spec/ros-map.md#names
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """Which topic of DDS each process may write and read: worked out from the map alone.
 
 ROS 2 names become topics of DDS: a topic one, a service two, an action eight.
-Spec page: docs/spec/ros.md#rights
+Spec page: docs/spec/ros-map.md#rights
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from msgspec import Struct
 from authguard_r.ros.map import Kind, Process, RosMap
 
 #: The names of our own nodes.
-GATE_NODE = "/authguard_gate"
+GATE_NODE = "/authguard/gate"
 DEADMAN_NODE = "/authguard_deadman"
 ESTIMATOR_NODE = "/authguard_estimator"
 #: Who is in the graph: every participant writes it, so nothing is ever decided by it.

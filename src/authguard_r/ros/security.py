@@ -3,7 +3,7 @@
 
 ROS 2 takes a wrong word for no word and goes on without security: `TRUE`, `enforce`, a variable
 that is not set, a folder that is not there. Each is a refusal here.
-Spec page: docs/spec/ros.md#self-check
+Spec page: docs/spec/ros-map.md#self-check
 """
 
 from __future__ import annotations

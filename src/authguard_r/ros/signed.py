@@ -2,7 +2,7 @@
 """Signed XML of DDS Security: an S/MIME message, its text in the clear, its signature apart.
 
 What DDS goes by is the text in the signed message, never a copy that lies beside it.
-Spec page: docs/spec/ros.md#keystore
+Spec page: docs/spec/ros-map.md#keystore
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A keystore lets the gate's process alone move the robot, or the check says who else could.
 
-Source: lessons L1, L7, L21; docs/spec/ros.md#check
+Source: lessons L1, L7, L21; docs/spec/ros-map.md#check
 """
 
 from __future__ import annotations

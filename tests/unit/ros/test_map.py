@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS map: what is on the wrong side, there twice, or no name of ROS, is said with its place.
 
-Source: lessons L1, L2; docs/spec/ros.md#map
+Source: lessons L1, L2; docs/spec/ros-map.md#map
 """
 
 from __future__ import annotations

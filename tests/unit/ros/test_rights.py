@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who may do what on DDS: of what moves the robot, the gate's process alone may write any.
 
-Source: lesson L1; docs/spec/ros.md#rights
+Source: lesson L1; docs/spec/ros-map.md#rights
 """
 
 from __future__ import annotations

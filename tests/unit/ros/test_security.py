@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A process of ours makes no node outside its enclave, though ROS 2 would let it.
 
-Source: lesson L7; docs/spec/ros.md#self-check
+Source: lesson L7; docs/spec/ros-map.md#self-check
 """
 
 from __future__ import annotations

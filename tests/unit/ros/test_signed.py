@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signed documents of DDS Security: what counts is the text that the authority signed, to the byte.
 
-Source: lesson L18; docs/spec/ros.md#keystore
+Source: lesson L18; docs/spec/ros-map.md#keystore
 """
 
 from __future__ import annotations

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planners' side of an action: its server under the public name.
+
+A goal is a proposal. What the gate releases is sent to the robot's own server, whose yes or no is
+the planner's answer; its feedback, its result and its status are the robot's too.
+Spec page: docs/spec/ros.md#goals
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from msgspec import Struct
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+
+from authguard_r.client.link import Log
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.ros.calls import FORMS, call_of
+from authguard_r.ros.loop import Spinner
+from authguard_r.ros.map import Mediated
+from authguard_r.ros.proposals import Proposals
+from authguard_r.ros.releases import Release
+from authguard_r.ros.values import plain_of, texts_of
+from authguard_r.tools.planner import Asked, LostError
+
+#: A result is kept for its planner for so long, in seconds.
+RESULT_S = 2
+#: A planner that is there takes note of its accepted goal within this, in seconds.
+BIND_S = 2.0
+#: An action whose gate is lost is stopped by its controller; its end is waited for so long.
+_LOST_S = 10.0
+
+
+class Public(Struct, frozen=True, kw_only=True):
+    """What every server of the planners' has.
+
+    Args:
+        spinner: the node, and its thread.
+        group: every callback of the node's.
+        proposals: asks the gate.
+        log: says what happens.
+    """
+
+    spinner: Spinner
+    group: ReentrantCallbackGroup
+    proposals: Proposals
+    log: Log
+
+
+class _Server(ActionServer):  # type: ignore[misc]
+    """An action server that executes nothing: a goal is over when `finish` says so."""
+
+    def __init__(self, *args: Any, bound: Callable[[Any], None], **more: Any) -> None:
+        self._bound = bound
+        super().__init__(*args, execute_callback=lambda _: None, **more)
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:  # noqa: ARG002
+        """Take a planner's handle of its goal; nothing waits on the thread for the end."""
+        self._bound(goal_handle)
+
+    def finish(self, handle: Any, end: Callable[[Any], Any]) -> None:
+        """End a goal with the state and the result that a function gives it."""
+        super().notify_execute(handle, end)
+
+
+class _Going:
+    """One goal of a planner's, until it is over."""
+
+    def __init__(self, goal: Any) -> None:
+        loop = asyncio.get_running_loop()
+        self.goal = goal
+        self.taken: asyncio.Future[bool] = loop.create_future()
+        self.handle: asyncio.Future[Any] = loop.create_future()
+        self.release: Release | None = None
+
+    def answer(self, *, is_taken: bool) -> None:
+        """Answer the planner; the first answer counts."""
+        if not self.taken.done():
+            self.taken.set_result(is_taken)
+
+    def began(self, release: Release) -> None:
+        """Take what was released for it: the robot's server answers the planner."""
+        self.release = release
+        release.taken.add_done_callback(lambda taken: self.answer(is_taken=taken.result()))
+
+
+class ActionInlet:
+    """Serves one action to planners.
+
+    Args:
+        public: the node.
+        key: its name in the map.
+        item: what the map says of it.
+        kind: the action's class.
+    """
+
+    def __init__(self, public: Public, key: str, item: Mediated, kind: Any) -> None:
+        self._public, self._key, self._item, self._kind = public, key, item, kind
+        self._spinner = public.spinner
+        self._unbound: dict[int, _Going] = {}  # by the goal's own id: `rclpy` hands out the same
+        self._running: dict[bytes, _Going] = {}
+        self._server = _Server(
+            public.spinner.node,
+            kind,
+            item.public,
+            bound=partial(self._spinner.soon, self._bound),
+            goal_callback=self._asked,
+            cancel_callback=self._canceled,
+            callback_group=public.group,
+            result_timeout=RESULT_S,
+        )
+
+    # on the thread of ROS
+
+    async def _asked(self, goal: Any) -> GoalResponse:
+        answer = await self._spinner.later(partial(self._decided, goal), GoalResponse.REJECT)
+        return answer or GoalResponse.REJECT
+
+    def _canceled(self, handle: Any) -> CancelResponse:
+        """Forward it at once: to stop is never refused."""
+        self._spinner.soon(self._cancel, bytes(handle.goal_id.uuid))
+        return CancelResponse.ACCEPT
+
+    # in the event loop
+
+    async def _decided(self, goal: Any) -> GoalResponse:
+        going = _Going(goal)
+        self._spinner.begin(self._run(going))
+        if not await going.taken:
+            return GoalResponse.REJECT
+        self._unbound[id(goal)] = going
+        asyncio.get_running_loop().call_later(BIND_S, self._left, going)
+        return GoalResponse.ACCEPT
+
+    def _bound(self, handle: Any) -> None:
+        going = self._unbound.pop(id(handle.request), None)
+        if going is not None and not going.handle.done():
+            self._running[bytes(handle.goal_id.uuid)] = going
+            going.handle.set_result(handle)
+
+    def _left(self, going: _Going) -> None:
+        """Call off a goal whose planner has gone before it was told."""
+        self._unbound.pop(id(going.goal), None)
+        if not going.handle.done():
+            going.handle.cancel()
+            if going.release is not None:
+                going.release.cancel()
+
+    def _cancel(self, goal: bytes) -> None:
+        going = self._running.get(goal)
+        if going is not None and going.release is not None:
+            going.release.cancel()
+
+    async def _run(self, going: _Going) -> None:
+        """Propose a goal, and see it through to its end."""
+        is_noted, feeding = False, self._spinner.begin(self._feed(going))
+        try:
+            asked = await self._propose(going)
+            is_noted = asked is not None and bool(asked.results)
+            if asked is not None and asked.execution is None:
+                self._public.log.say("refused", self._key, reasons=", ".join(asked.step["reasons"]))
+        finally:
+            going.answer(is_taken=False)
+        if going.taken.result():
+            await self._finish(going, feeding, is_noted=is_noted)
+        feeding.cancel()
+
+    async def _propose(self, going: _Going) -> Asked | None:
+        """Return what became of a proposal; None: nobody knows, or nothing was decided."""
+        proposals, tool = self._public.proposals, FORMS[self._item.kind].tool
+        try:
+            call = call_of(self._item, plain_of(going.goal, where=FORMS[self._item.kind].body))
+        except MalformedError as error:
+            going.answer(is_taken=False)
+            self._say(error)
+            await proposals.unreadable(tool, error)
+            return None
+        try:
+            return await proposals.ask(call, began=going.began)
+        except LostError as error:
+            self._say(error.error)
+        except AuthGuardError as error:
+            self._say(error)
+        return None
+
+    async def _feed(self, going: _Going) -> None:
+        """Hand on what the robot says on its way, once its words have been noted."""
+        handle, noted = await asyncio.shield(going.handle), set[str]()
+        release = going.release
+        if release is None or release.key != self._key:  # rebuilt as another action's goal
+            return
+        while True:
+            feedback = await release.feedback.get()
+            try:
+                texts = [text for text in texts_of(feedback) if text not in noted]
+                await self._public.proposals.note(texts)
+                noted.update(texts)
+                await self._spinner.do(handle.publish_feedback, feedback)
+            except AuthGuardError as error:  # nobody took note: nobody sees it
+                self._say(error)
+            finally:
+                release.feedback.task_done()
+
+    async def _finish(self, going: _Going, feeding: asyncio.Task[None], *, is_noted: bool) -> None:
+        """Tell the planner how its goal ended, as the robot says it."""
+        release = going.release
+        if release is None:  # pragma: no cover - taken is what was released
+            return
+        with suppress(TimeoutError):
+            await asyncio.wait_for(release.over.wait(), _LOST_S)
+        handle = await asyncio.shield(going.handle)
+        if not feeding.done():
+            await asyncio.wait({feeding, self._drained(release)}, return_when="FIRST_COMPLETED")
+        is_mine = release.key == self._key
+        answer = release.answer if is_noted and is_mine else None
+        result = self._kind.Result() if answer is None else answer
+        self._running.pop(bytes(handle.goal_id.uuid), None)
+        await self._spinner.do(self._server.finish, handle, partial(_ended, release.status, result))
+
+    def _drained(self, release: Release) -> asyncio.Task[None]:
+        return self._spinner.begin(release.feedback.join())
+
+    def _say(self, error: AuthGuardError) -> None:
+        self._public.log.say(
+            "refused", self._key, reason=str(error.reason), message=error.message, where=error.where
+        )
+
+
+def _ended(status: int | None, result: Any, handle: Any) -> Any:
+    """Give a goal the robot's own state; a cancellation that its planner did not ask is an abort.
+
+    Actions of ROS have no word for a goal that somebody else called off.
+    """
+    if status == GoalStatus.STATUS_SUCCEEDED:
+        handle.succeed()
+    elif status == GoalStatus.STATUS_CANCELED and handle.is_cancel_requested:
+        handle.canceled()
+    else:
+        handle.abort()
+    return result

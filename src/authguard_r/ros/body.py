@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What moves behind a ROS graph, as a controller's body (`client.controller.Body`).
+
+A released action is rebuilt into the one goal, call, message or velocity that it is, and that is
+sent once. A stop cancels every goal of every mediated action and says zero on every stream,
+whoever began them. Spec page: docs/spec/ros.md#driving
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from authguard_r.client.link import Log
+from authguard_r.core.action import Action
+from authguard_r.core.errors import ControllerError, MalformedError
+from authguard_r.core.identifiers import Digest, ParameterId, RobotId
+from authguard_r.core.ports import Flight
+from authguard_r.core.standing import Outcome
+from authguard_r.normalize import Binder
+from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.rebuild import Rebuilder, call_bytes
+from authguard_r.ros.calls import DURATION, body_of, item_of, velocities
+from authguard_r.ros.map import RosMap
+from authguard_r.ros.outlets import STOP_S, Order, Outlet
+from authguard_r.ros.releases import Release, Releases
+from authguard_r.ros.values import message_of
+from authguard_r.ros.velocity import StreamOutlet
+from authguard_r.site.model import Site
+
+#: Between two tries to stop the robot, in seconds.
+AGAIN_S = 0.5
+
+
+class Means(Struct, frozen=True, kw_only=True):
+    """What a body drives with.
+
+    Args:
+        site: its words.
+        ros: what is mediated.
+        binder: what calls mean.
+        rebuilder: what actions are called, among what is mediated.
+        releases: where the planners' end finds what begins.
+    """
+
+    site: Site
+    ros: RosMap
+    binder: Binder
+    rebuilder: Rebuilder
+    releases: Releases
+
+
+class RosBody:
+    """A robot behind its ROS graph.
+
+    Args:
+        rid: which.
+        means: what it is driven with.
+        changed: called when something ended.
+        log: says what happens.
+    """
+
+    obeys = True
+    late_ms = 0
+
+    def __init__(self, rid: RobotId, means: Means, changed: Callable[[], None], log: Log) -> None:
+        self.rid = rid
+        self.outlets: dict[str, Outlet] = {}
+        vocabulary = means.site.vocabulary.values()
+        self.sampled = frozenset(name for kind in vocabulary for name in velocities(kind))
+        self._means = means
+        self._changed = changed
+        self._log = log
+        self._release: Release | None = None
+        self._action: Action | None = None  # of a stream that runs
+        self._stopping: asyncio.Task[None] | None = None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What of the robot is not there, by its name in the map."""
+        return tuple(key for key, outlet in self.outlets.items() if not outlet.is_there)
+
+    @property
+    def stands(self) -> bool:
+        """True while nothing is being stopped: what was stopped said that it stands."""
+        return self._stopping is None
+
+    def begin(self, action: Action, ticket: Digest) -> Flight:
+        """Send it.
+
+        Raises:
+            ControllerError: nothing that is mediated carries the action, the robot's part of it is
+                not there, or the robot is still being stopped.
+        """
+        try:
+            return self._begun(action, ticket)
+        except ControllerError as error:
+            self._log.say("not begun", str(action.type), message=error.message)
+            raise
+
+    def _begun(self, action: Action, ticket: Digest) -> Flight:
+        if not self.stands:
+            raise ControllerError("the robot is being stopped, and nobody says that it stands")
+        try:
+            key, call = self._rebuilt(action)
+            outlet = self.outlets[key]
+            message = self._message(key, call)
+            wanted = self._means.binder.succeeds(call)
+        except MalformedError as error:
+            raise ControllerError(f"{error.message} at `{error.where}`") from error
+        if not outlet.is_there:
+            raise ControllerError(f"the robot's part of `{key}` is not there")
+        kind = self._means.site.vocabulary[action.type]
+        release = Release(kind, key)
+        duration_ms = action.params.get(ParameterId(DURATION), 0)
+        outlet.begin(
+            Order(
+                release=release,
+                message=message,
+                moves=kind.moves,
+                wanted=wanted,
+                duration_ms=duration_ms,
+            )
+        )
+        self._release = release
+        self._action = action if isinstance(outlet, StreamOutlet) else None
+        if isinstance(outlet, StreamOutlet):
+            outlet.steer(message, _speed(action))
+        self._means.releases.began(ticket, release)
+        return release.flight
+
+    def streams(self, action: Action) -> bool:
+        """Return True for velocities that run, and are published as they come."""
+        return self._action is not None and action == self._action
+
+    def steer(self, params: Mapping[str, int]) -> None:
+        """Publish these velocities at once; what they do not name is zero."""
+        action, release = self._action, self._release
+        if action is None or release is None or not release.runs or not self.stands:
+            return
+        outlet = self.outlets[release.key]
+        if not isinstance(outlet, StreamOutlet):  # pragma: no cover - only a stream's is kept
+            return
+        outlet.sampled()
+        given = {name: params.get(name, 0) for name in action.params if name != DURATION}
+        sample = replace(action, params={**action.params, **given})
+        try:
+            _, call = self._rebuilt(sample)
+            outlet.steer(self._message(release.key, call), _speed(sample))
+        except MalformedError:
+            outlet.rest()
+
+    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+        """Stop whatever runs, whoever began it; a second time changes nothing."""
+        if self._stopping is None:
+            for outlet in self.outlets.values():
+                if isinstance(outlet, StreamOutlet):
+                    outlet.rest()
+            self._stopping = asyncio.ensure_future(self._stop(outcome))
+
+    def pass_time(self, ms: int) -> None:  # noqa: ARG002 - the clock says it
+        """Look at the clock."""
+        for outlet in self.outlets.values():
+            outlet.pass_time()
+
+    def astray(self) -> None:
+        """Stop a robot of which nobody knows what it does."""
+        self.brake(Outcome.UNKNOWN)
+        self._changed()
+
+    async def at_rest(self, within_s: float) -> bool:
+        """Stop whatever runs; True once it stands."""
+        self.brake()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(within_s):
+                await asyncio.shield(self._stopping or asyncio.sleep(0))
+        return self.stands
+
+    async def let_go(self) -> None:
+        """Stop what runs before the node goes; not longer than a stop is waited for."""
+        await self.at_rest(STOP_S)
+        if self._stopping is not None:
+            self._stopping.cancel()
+
+    async def _stop(self, outcome: Outcome) -> None:
+        """Stop every outlet, until each says that nothing runs."""
+        while not all(await asyncio.gather(*(one.stop() for one in self.outlets.values()))):
+            self._ended(Outcome.UNKNOWN)
+            await asyncio.sleep(AGAIN_S)
+        self._stopping = None
+        self._ended(outcome)
+
+    def _ended(self, outcome: Outcome) -> None:
+        if self._release is not None:
+            self._release.end(outcome)
+        self._changed()
+
+    def _rebuilt(self, action: Action) -> tuple[str, Call]:
+        """Return what carries an action, by its name in the map, and the call that it is."""
+        call = self._means.rebuilder.rebuild(action)
+        return item_of(call, self._means.ros), call
+
+    def _message(self, key: str, call: Call) -> object:
+        """Return the message that a rebuilt call is."""
+        item = self._means.ros.mediated[key]
+        plain = json.loads(call_bytes(call))["arguments"]
+        return message_of(self.outlets[key].kind, body_of(item, plain), where=key)
+
+
+def _speed(action: Action) -> int:
+    """Return the length of a velocity at most, in mm/s; 0 only of one that is zero."""
+    given = {name: abs(value) for name, value in action.params.items() if name != DURATION}
+    along = sum(value for name, value in given.items() if name.endswith("_mm_s"))
+    return max(along, 1) if any(given.values()) else 0

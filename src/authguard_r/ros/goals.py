@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot's side of an action: sends a released goal, and cancels whatever runs.
+
+It stands when its server says so: a canceled goal runs until its result has come.
+Spec page: docs/spec/ros.md#goals
+"""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+from typing import Any
+
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from action_msgs.srv import CancelGoal
+from rclpy.action import ActionClient
+from rclpy.qos import qos_profile_action_status_default
+
+from authguard_r.core.standing import Outcome
+from authguard_r.ros.outlets import STOP_S, Order, Robot, fields_of
+from authguard_r.ros.releases import Release
+from authguard_r.tools.server import Answer
+
+#: A server that lives says within this whether it takes a goal, in seconds.
+TAKE_S = 2.0
+#: A goal that nobody answered for so long, of a server that answers, never arrived, in seconds.
+_LOST_S = 5.0
+_ACTIVE = {
+    GoalStatus.STATUS_ACCEPTED,
+    GoalStatus.STATUS_EXECUTING,
+    GoalStatus.STATUS_CANCELING,
+}
+_OUTCOMES = {
+    GoalStatus.STATUS_SUCCEEDED: Outcome.SUCCEEDED,
+    GoalStatus.STATUS_CANCELED: Outcome.ABORTED,
+    GoalStatus.STATUS_ABORTED: Outcome.FAILED,
+}
+
+
+class ActionOutlet:
+    """Sends goals of one action.
+
+    Args:
+        robot: the node.
+        kind: the action's class.
+        name: the action that does it.
+    """
+
+    def __init__(self, robot: Robot, kind: Any, name: str) -> None:
+        self.kind = kind.Goal
+        self._robot = robot
+        node, group = robot.spinner.node, robot.group
+        self._client = ActionClient(node, kind, name, callback_group=group)
+        self._canceler = node.create_client(
+            CancelGoal, f"{name}/_action/cancel_goal", callback_group=group
+        )
+        node.create_subscription(
+            GoalStatusArray,
+            f"{name}/_action/status",
+            partial(robot.spinner.soon, self._heard),
+            qos_profile_action_status_default,
+            callback_group=group,
+        )
+        self._statuses: dict[bytes, int] = {}
+        self._news = asyncio.Event()
+        self._order: Order | None = None  # until it is over
+        self._goal: Any = None
+        self._asked_s = 0.0
+
+    @property
+    def is_there(self) -> bool:
+        """True while somebody serves it."""
+        return bool(self._client.server_is_ready())
+
+    def begin(self, order: Order) -> None:
+        """Send the goal."""
+        self._order, self._goal = order, None
+        self._asked_s = asyncio.get_running_loop().time()
+        self._robot.spinner.begin(self._attend(order))
+
+    def pass_time(self) -> None:
+        """Do nothing: it takes its time."""
+
+    async def stop(self) -> bool:
+        """Cancel every goal, and wait until the server says that none runs any more."""
+        if not self._canceler.service_is_ready():
+            self._statuses.clear()  # of a server that is gone
+            return self._order is None
+        try:
+            async with asyncio.timeout(STOP_S):
+                call = partial(self._canceler.call_async, CancelGoal.Request())
+                said = await self._robot.spinner.ask(call)
+                going = {bytes(one.goal_id.uuid) for one in said.goals_canceling}
+                if self._goal is not None:  # of a server that has forgotten it, too
+                    self._robot.spinner.begin(self._await_result(self._goal))
+                while self._is_going(going):
+                    self._news.clear()
+                    await self._news.wait()
+        except TimeoutError:
+            return False
+        self._order = self._goal = None
+        return True
+
+    async def _attend(self, order: Order) -> None:
+        """Carry it out; what goes wrong here leaves nobody who knows what the robot does."""
+        try:
+            await self._carry(order)
+        except Exception:  # noqa: BLE001 - whatever it is
+            order.release.end(Outcome.UNKNOWN)
+            self._robot.astray()
+
+    async def _carry(self, order: Order) -> None:
+        """Send the goal, and take note of what the server says of it."""
+        release, spinner = order.release, self._robot.spinner
+        fed = partial(_fed, spinner.soon, release)
+        send = partial(self._client.send_goal_async, order.message, feedback_callback=fed)
+        asked = spinner.begin(spinner.ask(send))
+        done, _ = await asyncio.wait({asked}, timeout=TAKE_S)
+        if not done:
+            release.end(Outcome.UNKNOWN)
+            self._robot.astray()
+        goal = await asked
+        if not goal.accepted:
+            self._over(order, Outcome.NOT_STARTED)
+            return
+        if not release.runs:  # nobody waits for it any more
+            await spinner.ask(goal.cancel_goal_async)
+        self._goal = goal
+        release.cancel = partial(self._cancel, goal)
+        release.take()
+        await self._await_result(goal)
+
+    async def _await_result(self, goal: Any) -> None:
+        said = await self._robot.spinner.ask(goal.get_result_async)
+        order = self._order
+        if order is None or goal is not self._goal:
+            return
+        outcome = _OUTCOMES.get(said.status, Outcome.UNKNOWN)
+        told = order.release.answered(said.result, status=said.status)
+        answer = Answer(is_error=False, structured=fields_of(said.result))
+        if outcome is Outcome.SUCCEEDED and not answer.is_done(order.wanted):
+            outcome = Outcome.FAILED
+        order.release.end(outcome, told)
+        self._over(order, outcome)
+
+    def _over(self, order: Order, outcome: Outcome) -> None:
+        order.release.end(outcome)
+        if self._order is order:
+            self._order = self._goal = None
+        self._news.set()
+        self._robot.changed()
+
+    def _cancel(self, goal: Any) -> None:
+        self._robot.spinner.begin(self._robot.spinner.ask(goal.cancel_goal_async))
+
+    def _heard(self, message: Any) -> None:
+        """Take in what the server says of its goals."""
+        self._statuses = {bytes(s.goal_info.goal_id.uuid): s.status for s in message.status_list}
+        self._news.set()
+
+    def _is_going(self, going: set[bytes]) -> bool:
+        """True while a goal of ours or of anybody else's may run."""
+        if self._order is not None and not self._is_lost():
+            return True
+        known = self._statuses
+        if any(known.get(goal, GoalStatus.STATUS_CANCELING) in _ACTIVE for goal in going):
+            return True
+        return any(status in _ACTIVE for status in known.values())
+
+    def _is_lost(self) -> bool:
+        """True of a goal that a server which answers has never answered."""
+        waited_s = asyncio.get_running_loop().time() - self._asked_s
+        return self._goal is None and waited_s > _LOST_S
+
+
+def _fed(soon: Any, release: Release, message: Any) -> None:
+    soon(release.fed, message.feedback)

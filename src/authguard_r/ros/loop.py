@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One thread that spins a node, beside the event loop that has the gate's ends.
+
+What is asked of ROS is asked on the thread alone, for `rclpy` loses an answer that comes while
+another thread still sends the question. The event loop publishes, and looks who is there. A
+callback that raises ends the thread, and with it the node. Spec page: docs/spec/ros.md#threads
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+T = TypeVar("T")
+
+#: Longest wait for the thread's end, in seconds.
+CLOSE_S = 2.0
+
+
+class Spinner:
+    """The thread.
+
+    Args:
+        node: what it spins; nothing else does.
+        failed: called in the event loop when the thread ended by itself.
+    """
+
+    def __init__(self, node: Any, failed: Callable[[BaseException], None]) -> None:
+        self.node = node
+        self._failed = failed
+        self.loop = asyncio.get_running_loop()
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._serve, name="ros", daemon=True)
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._is_closed = False
+
+    def start(self) -> None:
+        """Begin to spin."""
+        self._thread.start()
+
+    # from the event loop
+
+    async def do(self, work: Callable[..., T], *args: Any) -> T:
+        """Return what a function returns that is called on the thread."""
+        found: asyncio.Future[T] = self.loop.create_future()
+
+        def run() -> None:
+            try:
+                value = work(*args)
+            except Exception as error:  # noqa: BLE001 - it is the caller's, who waits
+                self.soon(_fail, found, error)
+            else:
+                self.soon(_fill, found, value)
+
+        self._executor.create_task(run)
+        return await found
+
+    async def ask(self, begin: Callable[[], Any]) -> Any:
+        """Return what the future of `rclpy` brings that a function begins on the thread.
+
+        Canceled, it waits no more; what was asked was asked.
+        """
+        found: asyncio.Future[Any] = self.loop.create_future()
+
+        def answered(future: Any) -> None:
+            try:
+                value = future.result()
+            except Exception as error:  # noqa: BLE001 - it is the caller's, who waits
+                self.soon(_fail, found, error)
+            else:
+                self.soon(_fill, found, value)
+
+        def run() -> None:
+            try:
+                begin().add_done_callback(answered)
+            except Exception as error:  # noqa: BLE001 - it is the caller's, who waits
+                self.soon(_fail, found, error)
+
+        self._executor.create_task(run)
+        return await found
+
+    def begin(self, work: Coroutine[Any, Any, T]) -> asyncio.Task[T]:
+        """Begin work in the event loop, and keep it until it is done."""
+        task = self.loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    async def close(self) -> None:
+        """End what was begun here, and the thread."""
+        self._is_closed = True
+        for task in tuple(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._executor.shutdown(timeout_sec=0)
+        await asyncio.to_thread(self._thread.join, CLOSE_S)
+
+    # from the thread
+
+    def soon(self, call: Callable[..., object], *args: Any) -> None:
+        """Call a function in the event loop; dropped once that is closed."""
+        with suppress(RuntimeError):
+            self.loop.call_soon_threadsafe(call, *args)
+
+    def later(self, work: Callable[[], Coroutine[Any, Any, T]], otherwise: T) -> Any:
+        """Begin work in the event loop; return a future that a callback on the thread may await.
+
+        Args:
+            work: what is begun.
+            otherwise: what the future brings when the work fails or is given up.
+        """
+        promise = self._executor.create_future()
+
+        def ended(task: asyncio.Task[T]) -> None:
+            failed = task.cancelled() or task.exception() is not None
+            promise.set_result(otherwise if failed else task.result())
+            self._executor.wake()
+
+        def begin() -> None:
+            self.begin(work()).add_done_callback(ended)
+
+        self.soon(begin)
+        return promise
+
+    def _serve(self) -> None:
+        why: BaseException = RuntimeError("it was shut down")
+        try:
+            self._executor.spin()
+        except ExternalShutdownException as error:
+            why = error
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the node is over
+            why = error
+        if not self._is_closed:
+            self.soon(self._failed, why)
+
+
+def _fill(found: asyncio.Future[T], value: T) -> None:
+    if not found.done():
+        found.set_result(value)
+
+
+def _fail(found: asyncio.Future[Any], error: BaseException) -> None:
+    if not found.done():
+        found.set_exception(error)

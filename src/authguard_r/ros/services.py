@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planners' side of services and of single messages, under their public names.
+
+A service that can say that it failed says so of a refusal, with the code. One that cannot is not
+answered: whoever waits learns nothing, which is better than an answer that the robot never gave.
+Spec page: docs/spec/ros.md#services
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.ros.actions import Public
+from authguard_r.ros.calls import FORMS, call_of
+from authguard_r.ros.map import Mediated
+from authguard_r.ros.releases import Release
+from authguard_r.ros.values import plain_of
+from authguard_r.tools.planner import Asked, LostError
+
+_DEPTH = 10
+#: In the place of an answer.
+_SILENCE = object()
+
+
+class ServiceInlet:
+    """Serves one service to planners.
+
+    Args:
+        public: the node.
+        key: its name in the map.
+        item: what the map says of it.
+        kind: the service's class.
+    """
+
+    def __init__(self, public: Public, key: str, item: Mediated, kind: Any) -> None:
+        self._public, self._key, self._item, self._kind = public, key, item, kind
+        service = public.spinner.node.create_service(
+            kind, item.public, self._asked, callback_group=public.group
+        )
+        answer = service.send_response
+
+        def send(response: Any, header: Any) -> None:
+            if response is not _SILENCE:
+                answer(response, header)
+
+        service.send_response = send
+
+    async def _asked(self, request: Any, _: Any) -> Any:
+        silence: Any = _SILENCE
+        found = await self._public.spinner.later(partial(self._answered, request), silence)
+        return _SILENCE if found is None else found
+
+    async def _answered(self, request: Any) -> Any:
+        found: list[Release] = []
+        code, asked = await propose(self._public, self._item, request, found)
+        if asked is not None and asked.results and found and found[0].key == self._key:
+            answer = found[0].answer
+            return self._refusal(Reason.INPUT_TOO_LARGE) if answer is None else answer
+        return self._refusal(code)
+
+    def _refusal(self, code: str) -> Any:
+        """Return an answer that says no, and why; silence where the type has no word for it."""
+        self._public.log.say("refused", self._key, reason=str(code))
+        fields = self._kind.Response.get_fields_and_field_types()
+        if fields.get("success") != "boolean" or fields.get("message") != "string":
+            return _SILENCE
+        response = self._kind.Response()
+        response.success, response.message = False, str(code)
+        return response
+
+
+class MessageInlet:
+    """Hears one topic of planners', each message of which is a proposal.
+
+    Args:
+        public: the node.
+        key: its name in the map.
+        item: what the map says of it.
+        kind: the message's class.
+    """
+
+    def __init__(self, public: Public, key: str, item: Mediated, kind: Any) -> None:
+        self._public, self._key, self._item = public, key, item
+        public.spinner.node.create_subscription(
+            kind,
+            item.public,
+            partial(public.spinner.soon, self._heard),
+            _DEPTH,
+            callback_group=public.group,
+        )
+
+    def _heard(self, message: Any) -> None:
+        self._public.spinner.begin(self._propose(message))
+
+    async def _propose(self, message: Any) -> None:
+        code, asked = await propose(self._public, self._item, message, [])
+        if asked is None or asked.execution != "succeeded":
+            self._public.log.say("refused", self._key, reason=str(code))
+
+
+async def propose(
+    public: Public, item: Mediated, message: Any, found: list[Release]
+) -> tuple[str, Asked | None]:
+    """Propose what a planner's message is; return why it did not succeed, and what became of it.
+
+    Args:
+        public: the node.
+        item: what the map says of it.
+        message: untrusted.
+        found: takes what was released for it.
+    """
+    form = FORMS[item.kind]
+    try:
+        call = call_of(item, plain_of(message, where=form.body))
+    except MalformedError as error:
+        public.spinner.begin(public.proposals.unreadable(form.tool, error))
+        return str(error.reason), None
+    try:
+        asked = await public.proposals.ask(call, began=found.append)
+    except LostError as error:
+        return str(error.error.reason), None
+    except AuthGuardError as error:
+        return str(error.reason), None
+    return code_of(asked), asked
+
+
+def code_of(asked: Asked) -> str:
+    """Return the deciding code of what did not succeed; empty of what did."""
+    execution = asked.step["execution"]
+    codes = asked.step["reasons"] if asked.execution is None else execution["reasons"]
+    return str(codes[0]) if codes else ""

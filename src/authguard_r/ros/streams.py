@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planners' side of a stream: the first velocity asks for a lease, each further one samples it.
+
+What cannot be read is a zero. Silence ends the lease, and a refusal is not asked again at once: a
+planner that repeats itself fifty times a second is one proposal.
+Spec page: docs/spec/ros.md#streams
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import deque
+from contextlib import suppress
+from typing import Any
+
+from authguard_r.client import AsyncGateClient
+from authguard_r.client.steering import Steering
+from authguard_r.core.action import Action
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.identifiers import Digest
+from authguard_r.normalize import Binder
+from authguard_r.normalize.dialects import Call, Dialect, read_reply
+from authguard_r.ros.actions import Public
+from authguard_r.ros.calls import DURATION, FORMS, call_of
+from authguard_r.ros.map import Mediated
+from authguard_r.ros.services import code_of
+from authguard_r.ros.values import plain_of
+from authguard_r.tools.planner import LostError
+
+#: A planner that says nothing for so long has ended its stream, in seconds.
+SILENT_S = 0.5
+#: After a refusal nothing is proposed for so long, in seconds.
+PAUSE_S = 1.0
+_DEPTH = 10
+#: Samples that wait for the gate; of more the oldest are dropped.
+_MOST_WAITING = 5
+_LOOK_S = 0.05
+
+
+class StreamInlet:
+    """Hears one topic of velocities.
+
+    Args:
+        public: the node.
+        key: its name in the map.
+        item: what the map says of it.
+        kind: the message's class.
+        binder: what velocities mean; it decides nothing.
+    """
+
+    def __init__(self, public: Public, key: str, item: Mediated, kind: Any, binder: Binder) -> None:
+        self._public, self._key, self._item, self._binder = public, key, item, binder
+        self._loop = public.spinner.loop
+        self._waiting: deque[dict[str, int] | None] = deque(maxlen=_MOST_WAITING)
+        self._news = asyncio.Event()
+        self._stream: asyncio.Task[None] | None = None
+        self._sender: bytes = b""
+        self._heard_s = self._paused_s = self._told_s = self._loop.time() - PAUSE_S
+        public.spinner.node.create_subscription(
+            kind, item.public, self._came, _DEPTH, callback_group=public.group
+        )
+
+    def _came(self, message: Any, info: Any) -> None:
+        """Take a message on the thread of ROS."""
+        self._public.spinner.soon(self._heard, message, _sender_of(info))
+
+    def _heard(self, message: Any, sender: bytes) -> None:
+        """Sample an open stream, or ask for one."""
+        stream = self._stream
+        if stream is not None and not stream.done() and sender != self._sender:
+            return  # one planner steers at a time
+        call, action = None, None
+        try:
+            call = call_of(self._item, plain_of(message, where="msg"))
+            action = self._binder.bind(_exact(call))
+        except MalformedError as error:
+            self._refused(error)
+        self._heard_s = self._loop.time()
+        sample = None if action is None else _sample(action)
+        if stream is not None and not stream.done():
+            self._waiting.append(sample)
+            self._news.set()
+        elif call is not None and sample is not None and self._may_ask(sample):
+            self._sender = sender
+            self._waiting.clear()
+            self._stream = self._public.spinner.begin(self._ask(call, sample))
+
+    def _may_ask(self, sample: dict[str, int]) -> bool:
+        """True of a velocity that is one, unless there was a refusal just now."""
+        return any(sample.values()) and self._heard_s - self._paused_s >= PAUSE_S
+
+    def _refused(self, error: MalformedError) -> None:
+        """Have what is no velocity logged, once in a while."""
+        now = self._loop.time()
+        if now - self._told_s >= PAUSE_S:
+            self._told_s = now
+            tool = FORMS[self._item.kind].tool
+            self._public.spinner.begin(self._public.proposals.unreadable(tool, error))
+
+    async def _ask(self, call: Call, first: dict[str, int]) -> None:
+        """Ask for a lease, and sample it until it is over."""
+        steering: list[asyncio.Task[None]] = []
+
+        def through(gate: AsyncGateClient, ticket: str) -> None:
+            stream = Steering(gate, Digest(ticket))
+            steering.append(self._public.spinner.begin(self._steer(stream, tuple(first))))
+
+        code = ""
+        try:
+            asked = await self._public.proposals.ask(call, began=lambda _: None, through=through)
+            code = code_of(asked)
+        except LostError as error:
+            code = str(error.error.reason)
+        except AuthGuardError as error:
+            code = str(error.reason)
+        finally:
+            for task in steering:
+                task.cancel()
+        if code:
+            self._paused_s = self._loop.time()
+            self._public.log.say("refused", self._key, reason=code)
+
+    async def _steer(self, stream: Steering, names: tuple[str, ...]) -> None:
+        """Send on what comes, as long as something comes; then end the stream."""
+        try:
+            while self._loop.time() - self._heard_s < SILENT_S:
+                while self._waiting:
+                    sample = self._waiting.popleft()
+                    await stream.sample(sample or dict.fromkeys(names, 0))
+                self._news.clear()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._news.wait(), _LOOK_S)
+            await stream.close()
+        except AuthGuardError:  # it is over, or the gate is: the proposal's answer says which
+            return
+
+
+def _exact(call: Call) -> Call:
+    """Return a call as the gate reads it: numbers as exact decimals."""
+    plan = {"plan": [{"tool": call.tool, "arguments": call.arguments}]}
+    (read,) = read_reply(json.dumps(plan), Dialect.JSON).calls
+    return read
+
+
+def _sample(action: Action) -> dict[str, int]:
+    return {str(name): value for name, value in action.params.items() if name != DURATION}
+
+
+def _sender_of(info: Any) -> bytes:
+    """Return which publisher a message is of; empty where ROS does not say."""
+    gid = info.get("publisher_gid") if isinstance(info, dict) else None
+    return repr(gid).encode() if gid else b""

@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS graph of a test: a robot, a planner, and the node between them, which is a process.
+
+Robot and planner are nodes of `rclpy` with an executor of their own each; what is asked of ROS is
+asked on its thread. Every wait is for a condition, with a deadline.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+with warnings.catch_warnings():  # its parser's own
+    warnings.simplefilter("ignore")
+    import rosidl_generator_py  # noqa: F401
+
+import rclpy
+from geometry_msgs.msg import Twist
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import UInt8
+from std_srvs.srv import Empty, Trigger
+from test_msgs.action import Fibonacci
+
+import worlds
+from gates import RunningGate, environment, until
+
+#: Bound against hanging, in seconds; nothing is measured against it.
+PATIENCE_S = 20.0
+HERE = Path(__file__).resolve().parent
+_domains = itertools.count(1 + os.getpid() % 90)
+
+
+#: A mission of many short actions.
+BUDGETS = {
+    "actions": 10_000,
+    "rate": {"count": 10_000, "per": "10 s"},
+    "motion": "20 min",
+    "waiting": "0 s",
+    "recorded_bytes": 0,
+    "prompts": 5,
+    "planner_stops": 30,
+}
+
+
+class Peer:
+    """A node with a thread of its own.
+
+    Args:
+        name: the node's.
+        domain: where.
+    """
+
+    def __init__(self, name: str, domain: int) -> None:
+        self._context = Context()
+        rclpy.init(
+            args=[],
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.group = ReentrantCallbackGroup()
+        self.node = Node(
+            name, context=self._context, start_parameter_services=False, enable_rosout=False
+        )
+        self._executor = MultiThreadedExecutor(4, context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        self._executor.spin()
+
+    def ask(self, begin: Callable[[], Any]) -> Future[Any]:
+        """Begin something of `rclpy` that has a future; return one of Python's."""
+        found: Future[Any] = Future()
+
+        def answered(future: Any) -> None:
+            try:
+                found.set_result(future.result())
+            except Exception as error:  # noqa: BLE001
+                found.set_exception(error)
+
+        self._executor.create_task(lambda: begin().add_done_callback(answered))
+        return found
+
+    def close(self) -> None:
+        """End it."""
+        self._executor.shutdown()
+        self._thread.join(5)
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+class Arm:
+    """A robot's action server: goals run until they are told to end, or are canceled.
+
+    Args:
+        peer: its node.
+        kind: the action's class.
+        name: the action's.
+    """
+
+    def __init__(self, peer: Peer, kind: Any, name: str) -> None:
+        self.goals: list[Any] = []
+        self.canceled: list[bool] = []
+        self.takes = True
+        self.end = threading.Event()
+        self.abort = False
+        self.feedback: list[Any] = []
+        self.result: Any = kind.Result()
+        self._kind = kind
+        ActionServer(
+            peer.node,
+            kind,
+            name,
+            self._run,
+            goal_callback=self._asked,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=peer.group,
+            result_timeout=2,
+        )
+
+    def _asked(self, goal: Any) -> GoalResponse:
+        self.goals.append(goal)
+        return GoalResponse.ACCEPT if self.takes else GoalResponse.REJECT
+
+    def _run(self, handle: Any) -> Any:
+        for feedback in self.feedback:
+            handle.publish_feedback(feedback)
+        while not self.end.wait(0.005):
+            if handle.is_cancel_requested:
+                handle.canceled()
+                self.canceled.append(True)
+                return self.result
+        (handle.abort if self.abort else handle.succeed)()
+        return self.result
+
+
+class Base:
+    """A robot's wheels: every velocity that it was told.
+
+    Args:
+        peer: its node.
+        kind: the message's class.
+        name: the topic.
+    """
+
+    def __init__(self, peer: Peer, kind: Any, name: str) -> None:
+        self.told: list[Any] = []
+        peer.node.create_subscription(kind, name, self.told.append, 10, callback_group=peer.group)
+
+    @property
+    def speeds(self) -> list[float]:
+        """Return how fast it was told to go ahead."""
+        return [message.linear.x for message in self.told]
+
+
+class Robot(Peer):
+    """The hospital's courier: an arm, a horn, a lamp, wheels, and something to clear."""
+
+    def __init__(self, domain: int) -> None:
+        super().__init__("robot", domain)
+        self.arm = Arm(self, Fibonacci, "/fibonacci")
+        self.base = Base(self, Twist, "/cmd_vel")
+        self.calls: list[str] = []
+        self.lamps: list[int] = []
+        node, group = self.node, self.group
+        node.create_service(Trigger, "/horn", self._honk, callback_group=group)
+        node.create_service(Empty, "/clear", self._clear, callback_group=group)
+        node.create_subscription(
+            UInt8, "/lamp", lambda m: self.lamps.append(m.data), 10, callback_group=group
+        )
+
+    def _honk(self, _: object, answer: Any) -> Any:
+        self.calls.append("horn")
+        answer.success, answer.message = True, "honked"
+        return answer
+
+    def _clear(self, _: object, answer: Any) -> Any:
+        self.calls.append("clear")
+        return answer
+
+
+class Stick:
+    """A planner's velocities, published fifty times a second from its first one on."""
+
+    def __init__(self, peer: Planner, kind: Any, name: str) -> None:
+        self._publisher = peer.publisher(kind, name)
+        self.message: Any = None
+        self.sent = 0
+        peer.node.create_timer(0.02, self._send, callback_group=peer.group)
+
+    def _send(self) -> None:
+        if self.message is not None:
+            self._publisher.publish(self.message)
+            self.sent += 1
+
+
+class Goal:
+    """A planner's goal: its answer, feedback and result."""
+
+    def __init__(self, peer: Peer, client: Any, goal: Any) -> None:
+        self._peer = peer
+        self.feedback: list[Any] = []
+        self._asked = peer.ask(
+            lambda: client.send_goal_async(
+                goal, feedback_callback=lambda message: self.feedback.append(message.feedback)
+            )
+        )
+
+    @property
+    def handle(self) -> Any:
+        return self._asked.result(PATIENCE_S)
+
+    @property
+    def accepted(self) -> bool:
+        accepted: bool = self.handle.accepted
+        return accepted
+
+    def result(self) -> Any:
+        """Return status and result."""
+        return self._peer.ask(self.handle.get_result_async).result(PATIENCE_S)
+
+    def cancel(self) -> Any:
+        return self._peer.ask(self.handle.cancel_goal_async).result(PATIENCE_S)
+
+
+class Planner(Peer):
+    """Whoever asks."""
+
+    def client(self, kind: Any, name: str) -> Any:
+        made = ActionClient(self.node, kind, name, callback_group=self.group)
+        until(made.server_is_ready, name, seconds=PATIENCE_S)
+        return made
+
+    def call(self, kind: Any, name: str, request: Any) -> Future[Any]:
+        made = self.node.create_client(kind, name, callback_group=self.group)
+        until(made.service_is_ready, name, seconds=PATIENCE_S)
+        return self.ask(lambda: made.call_async(request))
+
+    def publisher(self, kind: Any, name: str) -> Any:
+        made = self.node.create_publisher(kind, name, 10, callback_group=self.group)
+        until(made.get_subscription_count, name, seconds=PATIENCE_S)
+        return made
+
+
+class Graph:
+    """All of it.
+
+    Args:
+        folder: for the map.
+        gate: whose node it is.
+        domain: where.
+    """
+
+    def __init__(self, folder: Path, gate: RunningGate, domain: int) -> None:
+        self.domain = domain
+        self._folder, self._gate = folder, gate
+        self._peers: list[Peer] = []
+        self.process: subprocess.Popen[str] | None = None
+        self.robot: Robot = self.add(Robot(domain))
+
+    def add(self, peer: Any) -> Any:
+        self._peers.append(peer)
+        return peer
+
+    def planner(self, name: str = "planner") -> Planner:
+        planner: Planner = self.add(Planner(name, self.domain))
+        return planner
+
+    def start(self, source: Path = HERE / "map.yaml") -> None:
+        """Start the node; the robot's own side has to be there."""
+        gate = self._gate
+        path = self._folder / "map.yaml"
+        path.write_text(source.read_text().replace("domain: 1", f"domain: {self.domain}"))
+        words = ["--map", path, "--run", gate.run, "--site", gate.site, "--trust", gate.trust]
+        words += ["--binding", gate.binding]
+        self._errors = (self._folder / "node.err").open("w")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "authguard_r.ros.node", *map(str, words)],
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            text=True,
+            env=environment(measured=True),
+            cwd=worlds.ROOT,
+        )
+        assert self.process.stdout is not None
+        assert "ready" in self.process.stdout.readline(), self.said()
+
+    def said(self) -> str:
+        """Return what the node wrote to standard error."""
+        return (self._folder / "node.err").read_text()
+
+    def end(self) -> None:
+        """End everything that was started."""
+        if self.process is not None:
+            self.process.terminate()
+            try:
+                self.process.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+            if self.process.stdout is not None:
+                self.process.stdout.close()
+            self._errors.close()
+        for peer in reversed(self._peers):
+            peer.close()
+
+
+@contextmanager
+def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
+    """Yield a graph with a robot in it; print at its end what its node and the gate said."""
+    made = Graph(folder, gate, next(_domains) % 101 + 1)
+    try:
+        yield made
+    finally:
+        made.end()
+        if made.process is not None:  # pytest shows it when the test fails
+            print(made.said())
+            print([(one.kind, one.decision, one.reasons) for one in gate.news()])

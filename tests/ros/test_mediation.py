@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a planner asks of a robot's ROS graph is decided first, and told as it was.
+
+Real nodes, a real gate, and the node between them as a process. Source: issue 9, "Mediation".
+Spec page: docs/spec/ros.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import mkdtemp
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2 (.ci/run makes an environment)")
+
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import Twist
+from std_msgs.msg import UInt8
+from std_srvs.srv import Empty, Trigger
+from test_msgs.action import Fibonacci
+
+from authguard_r.client import GateClient
+from authguard_r.wire.messages import ClientRole
+from gates import RunningGate, until
+from robots import gate_of
+from ros.graph import HERE, Arm, Goal, Graph, Stick, graph_of
+
+IN_DOCK = {"source": "dock", "regions": ["dock"]}
+GRANTS = (
+    {
+        "id": "wave",
+        "type": "gesture",
+        "tool": "arm",
+        "rows": [IN_DOCK],
+        "limits": {"gesture_no": [1, 20]},
+        "max": "60 s",
+    },
+    {"id": "honk", "type": "announce", "tool": "speaker", "rows": [{}]},
+    {
+        "id": "shine",
+        "type": "lamp",
+        "tool": "lamps",
+        "rows": [{}],
+        "limits": {"lamp_no": [0, 5]},
+    },
+    {
+        "id": "creep",
+        "type": "drive",
+        "tool": "base",
+        "rows": [IN_DOCK],
+        "limits": {
+            "linear_mm_s": ["-0.3 m/s", "0.3 m/s"],
+            "lateral_mm_s": ["0 m/s", "0 m/s"],
+            "turn_urad_s": ["-1 rad/s", "1 rad/s"],
+            "duration_ms": ["1 s", "10 s"],
+        },
+    },
+)
+TOOLS = {"gesture": ["arm"], "lamp": ["lamps"], "drive": ["base"]}
+BRAKES = {"brake_mm_s2": 1000, "reaction_ms": 20}
+
+
+@pytest.fixture(scope="module")
+def gate() -> Iterator[RunningGate]:
+    folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
+    with gate_of(folder, HERE / "binding.yaml", tools=TOOLS, grants=GRANTS, profile=BRAKES) as made:
+        yield made
+
+
+@pytest.fixture
+def graph(tmp_path: Path, gate: RunningGate) -> Iterator[Graph]:
+    gate.mark()
+    with graph_of(tmp_path, gate) as made:
+        yield made
+
+
+def test_an_allowed_goal_is_the_robots_own_from_its_answer_to_its_result(graph: Graph) -> None:
+    arm = graph.robot.arm
+    arm.feedback = [Fibonacci.Feedback(sequence=[0]), Fibonacci.Feedback(sequence=[0, 1])]
+    arm.result = Fibonacci.Result(sequence=[0, 1, 1])
+    graph.start()
+    planner = graph.planner()
+    goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
+    assert goal.accepted
+    assert [one.order for one in arm.goals] == [3]
+    until(lambda: len(goal.feedback) == 2, "both feedbacks")
+    assert goal.feedback == arm.feedback
+    arm.end.set()
+    said = goal.result()
+    assert said.status == GoalStatus.STATUS_SUCCEEDED
+    assert said.result == arm.result
+
+
+def fibonacci(graph: Graph) -> Arm:
+    """Start the node; return the robot's action server."""
+    graph.start()
+    return graph.robot.arm
+
+
+def asked(graph: Graph, order: int, name: str = "planner") -> Goal:
+    planner = graph.planner(name)
+    return Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=order))
+
+
+def outcomes(gate: RunningGate) -> list[str]:
+    return [one.decision for one in gate.news() if one.kind == "outcome"]
+
+
+def test_a_goal_outside_its_grant_never_reaches_the_robot(graph: Graph, gate: RunningGate) -> None:
+    arm = fibonacci(graph)
+    assert not asked(graph, 21).accepted
+    assert arm.goals == []
+    until(lambda: gate.refusals("PARAMETER_OUT_OF_BOUNDS"), "the refusal's record")
+
+
+def test_a_goal_that_the_robots_own_server_rejects_is_rejected(
+    graph: Graph, gate: RunningGate
+) -> None:
+    arm = fibonacci(graph)
+    arm.takes = False
+    assert not asked(graph, 3).accepted
+    assert len(arm.goals) == 1
+    until(lambda: outcomes(gate) == ["not_started"], "the outcome")
+
+
+def test_a_cancellation_is_forwarded_and_the_goal_ends_canceled(
+    graph: Graph, gate: RunningGate
+) -> None:
+    arm = fibonacci(graph)
+    goal = asked(graph, 3)
+    assert goal.accepted
+    assert goal.cancel().goals_canceling
+    assert goal.result().status == GoalStatus.STATUS_CANCELED
+    assert arm.canceled == [True]
+    until(lambda: outcomes(gate) == ["aborted"], "the outcome")
+
+
+def test_a_goal_that_the_robot_aborts_is_aborted_with_its_result(
+    graph: Graph, gate: RunningGate
+) -> None:
+    arm = fibonacci(graph)
+    arm.abort, arm.result = True, Fibonacci.Result(sequence=[7])
+    goal = asked(graph, 3)
+    assert goal.accepted
+    arm.end.set()
+    said = goal.result()
+    assert (said.status, said.result) == (GoalStatus.STATUS_ABORTED, arm.result)
+    assert outcomes(gate) == ["failed"]
+
+
+def test_a_second_goal_is_rejected_while_one_runs_and_taken_after_it(
+    graph: Graph, gate: RunningGate
+) -> None:
+    """Two planners: the one that comes second is told the truth."""
+    arm = fibonacci(graph)
+    first = asked(graph, 3, "one")
+    assert first.accepted
+    assert not asked(graph, 4, "two").accepted
+    assert [one.order for one in arm.goals] == [3]
+    arm.end.set()
+    assert first.result().status == GoalStatus.STATUS_SUCCEEDED
+    assert asked(graph, 5, "three").accepted
+
+
+def test_a_planner_that_dies_in_mid_goal_leaves_a_goal_that_goes_on_to_its_end(
+    graph: Graph, gate: RunningGate
+) -> None:
+    """As ROS has it, and the lease: whoever asked, the release is for the action."""
+    arm = fibonacci(graph)
+    planner = graph.planner()
+    goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
+    assert goal.accepted
+    planner.close()
+    arm.end.set()
+    until(lambda: outcomes(gate) == ["succeeded"], "the outcome")
+    assert asked(graph, 4, "another").accepted
+
+
+def test_a_stop_cancels_the_goal_and_its_planner_is_told(graph: Graph, gate: RunningGate) -> None:
+    arm = fibonacci(graph)
+    goal = asked(graph, 3)
+    assert goal.accepted
+    with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
+        assert lane.stop()["stopped"] is True
+    assert arm.canceled == [True]
+    assert goal.result().status == GoalStatus.STATUS_ABORTED
+
+
+def test_a_service_is_called_when_it_is_granted_and_says_no_when_it_is_not(
+    graph: Graph, gate: RunningGate
+) -> None:
+    graph.start()
+    planner = graph.planner()
+    said = planner.call(Trigger, "/llm/horn", Trigger.Request()).result(20)
+    assert (said.success, said.message) == (True, "honked")
+    planner.call(Empty, "/llm/clear", Empty.Request()).result(20)  # look-out is in the mission
+    assert graph.robot.calls == ["horn", "clear"]
+
+
+def test_a_message_is_published_when_it_is_granted(graph: Graph, gate: RunningGate) -> None:
+    graph.start()
+    publisher = graph.planner().publisher(UInt8, "/llm/lamp")
+    for number in (9, 3):
+        publisher.publish(UInt8(data=number))
+    until(lambda: graph.robot.lamps, "the message")
+    until(lambda: len([r for r in gate.news() if r.kind == "decision"]) == 2, "both decisions")
+    assert graph.robot.lamps == [3]
+
+
+def twist(x: float, turn: float = 0.0) -> Twist:
+    made = Twist()
+    made.linear.x, made.angular.z = x, turn
+    return made
+
+
+def test_velocities_are_one_lease_and_each_is_held_to_it(graph: Graph, gate: RunningGate) -> None:
+    base = graph.robot.base
+    graph.start()
+    stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+    until(lambda: base.told, "the base is heard by")
+    stick.message = twist(0.2, 0.1)
+    until(lambda: 0.2 in base.speeds, "the velocity")
+    stick.message = twist(0.1)
+    until(lambda: base.speeds[-1] == 0.1, "the next one")
+    stick.message = twist(0.5)  # more than the grant
+    until(lambda: base.speeds[-1] == 0.0, "zero in its place")
+    stick.message = twist(0.1)
+    until(lambda: base.speeds[-1] == 0.1, "the next one")
+    stick.message = twist(float("nan"))
+    until(lambda: base.speeds[-1] == 0.0, "zero in its place")
+    assert set(base.speeds) == {0.0, 0.2, 0.1}
+    stick.message = None
+    until(lambda: outcomes(gate) == ["succeeded"], "the stream's end")
+    assert len([r for r in gate.news() if r.kind == "decision"]) == 1
+
+
+def test_a_planner_of_velocities_that_falls_silent_stops_the_robot(
+    graph: Graph, gate: RunningGate
+) -> None:
+    base = graph.robot.base
+    graph.start()
+    stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+    until(lambda: base.told, "the base is heard by")
+    stick.message = twist(0.2)
+    until(lambda: 0.2 in base.speeds, "the velocity")
+    stick.message = None
+    until(lambda: base.speeds[-1] == 0.0, "zero")
+    until(lambda: outcomes(gate) == ["succeeded"], "the stream's end")
+
+
+def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate) -> None:
+    base = graph.robot.base
+    graph.start()
+    stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+    stick.message = twist(0.6)
+    until(lambda: [r for r in gate.news() if r.kind == "decision"], "a decision")
+    until(lambda: stick.sent > 20, "more velocities")
+    assert set(base.speeds) == {0.0}
+    assert len([r for r in gate.news() if r.kind == "decision"]) == 1  # not fifty a second
