@@ -30,9 +30,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from test_msgs.action import Fibonacci
 
-from authguard_r.ros.actuator import Actuator
-from authguard_r.ros.deadman import Deadman
-from authguard_r.ros.heartbeat import (
+from authguard_r.ros.map import RosMap, read_map
+from authguard_r.ros.nodes.actuator import Actuator
+from authguard_r.ros.nodes.deadman import Deadman
+from authguard_r.ros.nodes.heartbeat import (
     Heartbeat,
     LoopWatch,
     Told,
@@ -40,7 +41,6 @@ from authguard_r.ros.heartbeat import (
     gate_heartbeat,
     steady,
 )
-from authguard_r.ros.map import RosMap, read_map
 
 #: A goal that nobody cancels takes so long, in seconds.
 GOAL_S = 20.0

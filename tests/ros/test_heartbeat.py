@@ -25,8 +25,8 @@ from rclpy.node import Node
 from std_msgs.msg import UInt64
 
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.ros.actuator import Actuator
-from authguard_r.ros.heartbeat import (
+from authguard_r.ros.nodes.actuator import Actuator
+from authguard_r.ros.nodes.heartbeat import (
     DEADLINE_MS,
     TURN_MS,
     Heartbeat,

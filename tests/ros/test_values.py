@@ -21,7 +21,7 @@ import ros.graph  # noqa: F401 - its imports first: they warn
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.ros.names import Part
-from authguard_r.ros.values import MAX_VALUES, load_type, message_of, plain_of, texts_of
+from authguard_r.ros.nodes.values import MAX_VALUES, load_type, message_of, plain_of, texts_of
 
 EVERY = (
     "Arrays",

@@ -17,9 +17,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.standing import Outcome
 from authguard_r.normalize.binding import Constant
-from authguard_r.ros.loop import Spinner
-from authguard_r.ros.releases import Release
-from authguard_r.ros.values import plain_of
+from authguard_r.ros.nodes.loop import Spinner
+from authguard_r.ros.nodes.releases import Release
+from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.server import Answer
 
 #: What stops the robot is answered within this, in seconds, or asked again.

@@ -17,7 +17,7 @@ from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPo
 from authguard_r.client.link import mono_ms
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
-from authguard_r.ros.outlets import STOP_S, Order, Robot
+from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot
 from authguard_r.site.model import Profile, stopping_mm
 
 #: Velocities in a second, whether or not they change.

@@ -13,11 +13,11 @@ from typing import Any
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.ros.actions import Public
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.map import Mediated
-from authguard_r.ros.releases import Release
-from authguard_r.ros.values import plain_of
+from authguard_r.ros.nodes.actions import Public
+from authguard_r.ros.nodes.releases import Release
+from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.planner import Asked, LostError
 
 _DEPTH = 10

@@ -2,7 +2,7 @@
 """What stands before a base: velocities go on while the gate's node lives, else the base stands.
 
 A class for a robot's own node, and a node of its own that relays to another topic:
-`python -m authguard_r.ros.actuator MAP NAME TOPIC`.
+`python -m authguard_r.ros.nodes.actuator MAP NAME TOPIC`.
 Spec page: docs/spec/ros-stopping.md#before-a-base
 """
 
@@ -21,10 +21,10 @@ from rclpy.node import Node
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import MalformedError
-from authguard_r.ros.heartbeat import ALL, Told, actuation_qos, listen, new_latch
 from authguard_r.ros.latch import MS, Why
 from authguard_r.ros.map import Kind, Mediated, RosMap, read_map
-from authguard_r.ros.process import run_node
+from authguard_r.ros.nodes.heartbeat import ALL, Told, actuation_qos, listen, new_latch
+from authguard_r.ros.nodes.process import run_node
 
 #: Between two looks of the own watch, in seconds.
 LOOK_S = 0.01

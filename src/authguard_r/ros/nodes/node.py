@@ -35,20 +35,20 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.ros.actions import ActionInlet, Public
-from authguard_r.ros.body import Means, RosBody
 from authguard_r.ros.calls import bound
-from authguard_r.ros.goals import ActionOutlet
-from authguard_r.ros.loop import Spinner
 from authguard_r.ros.map import Kind, Mediated, RosMap, read_map
 from authguard_r.ros.names import Part
-from authguard_r.ros.outlets import MessageOutlet, Outlet, Robot, ServiceOutlet
-from authguard_r.ros.proposals import Proposals
-from authguard_r.ros.releases import Releases
-from authguard_r.ros.services import MessageInlet, ServiceInlet
-from authguard_r.ros.streams import StreamInlet
-from authguard_r.ros.values import load_type
-from authguard_r.ros.velocity import StreamOutlet, braking_ms
+from authguard_r.ros.nodes.actions import ActionInlet, Public
+from authguard_r.ros.nodes.body import Means, RosBody
+from authguard_r.ros.nodes.goals import ActionOutlet
+from authguard_r.ros.nodes.loop import Spinner
+from authguard_r.ros.nodes.outlets import MessageOutlet, Outlet, Robot, ServiceOutlet
+from authguard_r.ros.nodes.proposals import Proposals
+from authguard_r.ros.nodes.releases import Releases
+from authguard_r.ros.nodes.services import MessageInlet, ServiceInlet
+from authguard_r.ros.nodes.streams import StreamInlet
+from authguard_r.ros.nodes.values import load_type
+from authguard_r.ros.nodes.velocity import StreamOutlet, braking_ms
 from authguard_r.site.model import Site
 from authguard_r.tools.ends import first_of
 from authguard_r.tools.given import given_binding, trusted_site
@@ -269,7 +269,7 @@ async def _ready(mediator: Mediator) -> None:
 
 def main() -> None:
     """Serve until SIGTERM or SIGINT; a line of JSON says so, and what of the robot is missing."""
-    asks = argparse.ArgumentParser(prog="python -m authguard_r.ros.node")
+    asks = argparse.ArgumentParser(prog="python -m authguard_r.ros.nodes.node")
     for name in ("map", "run", "site", "trust"):
         asks.add_argument(f"--{name}", type=Path, required=True)
     asks.add_argument("--binding", required=True)

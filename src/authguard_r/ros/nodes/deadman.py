@@ -4,7 +4,7 @@
 A server goes on with a goal whoever sent it is dead. So a process of its own hears the gate's
 heartbeat, and where that is lost it asks every mediated action's server to cancel all goals, again
 and again, until the heartbeat lives anew: a goal that was accepted in between is canceled too.
-`python -m authguard_r.ros.deadman MAP`. Spec page: docs/spec/ros-stopping.md#dead-man
+`python -m authguard_r.ros.nodes.deadman MAP`. Spec page: docs/spec/ros-stopping.md#dead-man
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from rclpy.task import Future
 from std_msgs.msg import UInt64
 
 from authguard_r.client.link import Log
-from authguard_r.ros.heartbeat import ALL, PERIOD_MS, Told, listen, new_latch, steady
 from authguard_r.ros.latch import MS, Why
 from authguard_r.ros.map import Kind, RosMap, read_map
-from authguard_r.ros.process import run_node
+from authguard_r.ros.nodes.heartbeat import ALL, PERIOD_MS, Told, listen, new_latch, steady
+from authguard_r.ros.nodes.process import run_node
 
 #: A heartbeat that was never heard counts as lost after so long: nodes find one another slowly.
 START_MS = 3_000

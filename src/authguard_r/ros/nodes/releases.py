@@ -15,7 +15,7 @@ from typing import Any
 from authguard_r.client.controller import Told
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.standing import Outcome
-from authguard_r.ros.values import texts_of
+from authguard_r.ros.nodes.values import texts_of
 from authguard_r.site.model import ActionModel
 from authguard_r.tools.body import ToolFlight
 from authguard_r.tools.server import WITHHELD, fits

@@ -21,11 +21,11 @@ from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.normalize import Binder
 from authguard_r.normalize.dialects import Call, Dialect, read_reply
-from authguard_r.ros.actions import Public
 from authguard_r.ros.calls import DURATION, FORMS, call_of
 from authguard_r.ros.map import Mediated
-from authguard_r.ros.services import code_of
-from authguard_r.ros.values import plain_of
+from authguard_r.ros.nodes.actions import Public
+from authguard_r.ros.nodes.services import code_of
+from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.planner import LostError
 
 #: A planner that says nothing for so long has ended its stream, in seconds.

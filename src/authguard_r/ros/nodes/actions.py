@@ -22,11 +22,11 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from authguard_r.client.link import Log
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.ros.calls import FORMS, call_of
-from authguard_r.ros.loop import Spinner
 from authguard_r.ros.map import Mediated
-from authguard_r.ros.proposals import Proposals
-from authguard_r.ros.releases import Release
-from authguard_r.ros.values import plain_of, texts_of
+from authguard_r.ros.nodes.loop import Spinner
+from authguard_r.ros.nodes.proposals import Proposals
+from authguard_r.ros.nodes.releases import Release
+from authguard_r.ros.nodes.values import plain_of, texts_of
 from authguard_r.tools.planner import Asked, LostError
 
 #: A result is kept for its planner for so long, in seconds.

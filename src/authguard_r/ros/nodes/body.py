@@ -27,10 +27,10 @@ from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
 from authguard_r.ros.calls import DURATION, body_of, item_of, velocities
 from authguard_r.ros.map import RosMap
-from authguard_r.ros.outlets import STOP_S, Order, Outlet
-from authguard_r.ros.releases import Release, Releases
-from authguard_r.ros.values import message_of
-from authguard_r.ros.velocity import StreamOutlet
+from authguard_r.ros.nodes.outlets import STOP_S, Order, Outlet
+from authguard_r.ros.nodes.releases import Release, Releases
+from authguard_r.ros.nodes.values import message_of
+from authguard_r.ros.nodes.velocity import StreamOutlet
 from authguard_r.site.model import Site
 
 #: Between two tries to stop the robot, in seconds.

@@ -15,7 +15,7 @@ from authguard_r.client.keeping import GatePlace
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call
-from authguard_r.ros.releases import Release, Releases
+from authguard_r.ros.nodes.releases import Release, Releases
 from authguard_r.tools.planner import Asked, Planner
 
 #: Proposals under way at once; an action that runs is one.

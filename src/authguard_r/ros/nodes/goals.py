@@ -17,8 +17,8 @@ from rclpy.action import ActionClient
 from rclpy.qos import qos_profile_action_status_default
 
 from authguard_r.core.standing import Outcome
-from authguard_r.ros.outlets import STOP_S, Order, Robot, fields_of
-from authguard_r.ros.releases import Release
+from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot, fields_of
+from authguard_r.ros.nodes.releases import Release
 from authguard_r.tools.server import Answer
 
 #: A server that lives says within this whether it takes a goal, in seconds.
