@@ -230,7 +230,7 @@ class Robot:
 
     def run(self, module: str, *words: str, waits: bool = True) -> Actor:
         """Start a module of the package's as its own process."""
-        command = ["-m", f"authguard_r.ros.{module}", str(self.map), *words]
+        command = ["-m", f"authguard_r.ros.nodes.{module}", str(self.map), *words, "--demo"]
         return self._start(command, waits=waits)
 
     def _start(self, words: list[str], *, waits: bool = True) -> Actor:

@@ -291,7 +291,7 @@ class Graph:
         words += ["--binding", gate.binding]
         self._errors = (self._folder / "node.err").open("w")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "authguard_r.ros.nodes.node", *map(str, words)],
+            [sys.executable, "-m", "authguard_r.ros.nodes.node", "--demo", *map(str, words)],
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import os
 import signal
 import sys
 from collections.abc import AsyncIterator, Callable
@@ -41,14 +42,17 @@ from authguard_r.ros.names import Part
 from authguard_r.ros.nodes.actions import ActionInlet, Public
 from authguard_r.ros.nodes.body import Means, RosBody
 from authguard_r.ros.nodes.goals import ActionOutlet
+from authguard_r.ros.nodes.heartbeat import LoopWatch, gate_heartbeat
 from authguard_r.ros.nodes.loop import Spinner
 from authguard_r.ros.nodes.outlets import MessageOutlet, Outlet, Robot, ServiceOutlet
+from authguard_r.ros.nodes.process import DEMO
 from authguard_r.ros.nodes.proposals import Proposals
 from authguard_r.ros.nodes.releases import Releases
 from authguard_r.ros.nodes.services import MessageInlet, ServiceInlet
 from authguard_r.ros.nodes.streams import StreamInlet
 from authguard_r.ros.nodes.values import load_type
 from authguard_r.ros.nodes.velocity import StreamOutlet, braking_ms
+from authguard_r.ros.security import require_security
 from authguard_r.site.model import Site
 from authguard_r.tools.ends import first_of
 from authguard_r.tools.given import given_binding, trusted_site
@@ -131,6 +135,14 @@ class Mediator:
         )
         for key, item in self._place.ros.mediated.items():
             self.body.outlets[key] = self._outlet(robot, key, item)
+        loop = self._spinner.loop
+        gate_heartbeat(
+            self._spinner.node,
+            self._place.ros.heartbeat,
+            still_alive=LoopWatch(loop),
+            lapsed=lambda: self._spinner.soon(self.body.brake),
+            group=self._group,
+        )
 
     def serve(self) -> None:
         """Make what planners see; on the thread of ROS."""
@@ -179,7 +191,7 @@ async def mediating(place: Place, log: Log) -> AsyncIterator[Mediator]:
     }
     context = Context()
     rclpy.init(
-        args=[],
+        args=["--ros-args", "--enclave", place.ros.enclaves.gate],
         context=context,
         domain_id=place.ros.domain,
         signal_handler_options=SignalHandlerOptions.NO,
@@ -273,6 +285,7 @@ def main() -> None:
     for name in ("map", "run", "site", "trust"):
         asks.add_argument(f"--{name}", type=Path, required=True)
     asks.add_argument("--binding", required=True)
+    asks.add_argument(DEMO, action="store_true", help="a bench: no DDS security is needed")
     given = asks.parse_args()
     try:
         asyncio.run(_serve(given))
@@ -283,10 +296,13 @@ def main() -> None:
 
 
 async def _serve(given: argparse.Namespace) -> None:
+    ros = read_map(given.map)
+    if not given.demo:
+        require_security(ros, ros.enclaves.gate, os.environ)
     trust = read_trust(given.trust)
     site = trusted_site(given.site, trust)
     place = Place(
-        ros=read_map(given.map),
+        ros=ros,
         run=given.run,
         site=site,
         binding=given_binding(given.binding, site),

@@ -6,6 +6,7 @@ Spec page: docs/spec/ros-stopping.md#processes
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -22,9 +23,12 @@ from rclpy.signals import SignalHandlerOptions
 from authguard_r.client.link import Log
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.ros.map import RosMap
+from authguard_r.ros.security import require_security
 
 #: What a process ends with: its words, or what they name, are wrong.
 WRONG = 2
+#: The word for a bench: no DDS security is needed.
+DEMO = "--demo"
 #: A signal is looked for after so long at the latest, in seconds.
 LOOK_S = 0.1
 
@@ -46,7 +50,8 @@ def run_node(
     """Run one node until SIGTERM or SIGINT, and return the process's exit code.
 
     Words of ROS (`--ros-args`) are none of its words: nobody remaps a name, moves it to another
-    domain or gives it another enclave than the map says.
+    domain or gives it another enclave than the map says. Outside its enclave it does not start, but
+    with `--demo`, on a bench where nothing can be hurt.
 
     Args:
         name: of the node.
@@ -55,11 +60,14 @@ def run_node(
         ready: takes the words; returns the map, the enclave, and what makes the node's work.
     """
     log = Log()
-    if len(words) != len(wanted):
-        log.say("refused", name, message=f"expected {' '.join(wanted)}")
+    given = [word for word in words if word != DEMO]
+    if len(given) != len(wanted):
+        log.say("refused", name, message=f"expected {' '.join(wanted)} [{DEMO}]")
         return WRONG
     try:
-        ros, enclave, build = ready(*words)
+        ros, enclave, build = ready(*given)
+        if len(given) == len(words):
+            require_security(ros, enclave, os.environ)
         _spin(name, ros, enclave, build)
     except AuthGuardError as error:
         log.fault(name, error)

@@ -10,32 +10,18 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
-from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
-
 from authguard_r.client.link import mono_ms
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
+from authguard_r.ros.nodes.heartbeat import PERIOD_MS, actuation_qos, steady
 from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot
 from authguard_r.site.model import Profile, stopping_mm
 
-#: Velocities in a second, whether or not they change.
-RATE_HZ = 50
 #: The ends look at their body every 10 ms; without a look for so long they are not alive.
 ALIVE_MS = 100
 #: After its time a stream that was sampled is ended here, if the gate does not.
 _SLACK_MS = 500
 _LOOK_S = 0.01
-#: What the topic promises: a message each 100 ms, and that its publisher lives.
-ACTUATION = QoSProfile(
-    depth=1,
-    history=HistoryPolicy.KEEP_LAST,
-    reliability=ReliabilityPolicy.RELIABLE,
-    deadline=Duration(nanoseconds=100_000_000),
-    liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
-    liveliness_lease_duration=Duration(nanoseconds=300_000_000),
-)
 
 
 class StreamOutlet:
@@ -60,13 +46,9 @@ class StreamOutlet:
         self._is_sampled = False
         self._stood_ms = self._seen_ms = mono_ms()
         node = robot.spinner.node
-        self._publisher = node.create_publisher(kind, name, ACTUATION, callback_group=robot.group)
-        node.create_timer(
-            1 / RATE_HZ,
-            self._repeat,
-            callback_group=robot.group,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        qos = actuation_qos()
+        self._publisher = node.create_publisher(kind, name, qos, callback_group=robot.group)
+        node.create_timer(PERIOD_MS / 1_000, self._repeat, robot.group, steady())
 
     @property
     def stands(self) -> bool:
