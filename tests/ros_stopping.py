@@ -271,10 +271,11 @@ class Driving:
         self.base = robot.start("base", *base)
         self.deadman = robot.run("deadman")
         self.gate = robot.start("gate", *gate)
-        self.base.open()
         self.deadman.says("armed")
+        self.deadman.says('"found"')
         self.gate.tell("goal")
         self.server.event("goal began")
+        self.base.open()
         self.gate.tell("drive 0.3")
         self.base.velocity(0.3)
 

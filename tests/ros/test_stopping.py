@@ -273,6 +273,7 @@ def test_a_server_that_answers_late_has_answered(robot: Robot) -> None:
 def test_a_dead_man_without_the_events_of_dds_cancels_by_its_own_watch(robot: Robot) -> None:
     server, blind, gate = robot.start("server"), robot.start("blind"), robot.start("gate")
     blind.says("armed")
+    blind.says('"found"')
     gate.tell("goal")
     server.event("goal began")
     begun = gate.send(signal.SIGKILL)
