@@ -180,7 +180,7 @@ def test_a_second_publisher_is_found_by_its_first_sample_where_dds_says_nothing(
 def test_two_publishers_that_stand_are_no_lease_where_nobody_says_whose_a_sample_is(
     robot: Robot,
 ) -> None:
-    """rclpy before Kilted: the second one would be taken for the first, and then speed up."""
+    """An older rclpy: the second one would be taken for the first, and then speed up."""
     base, gate = robot.start("base", "no-ids"), robot.start("gate")
     base.open()
     rogue = robot.start("rogue", "right", "0")
