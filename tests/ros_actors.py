@@ -22,12 +22,12 @@ import rclpy
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from rclpy.action import ActionClient, ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 from test_msgs.action import Fibonacci
 
 from authguard_r.ros.map import RosMap, read_map
@@ -78,6 +78,7 @@ class Gate:
     """Stands for the gate's node: what it says, and the goal that it holds."""
 
     def __init__(self, node: Node, ros: RosMap, *words: str) -> None:
+        self.node = node
         self.velocity = Twist()
         self.is_stubborn = "stubborn" in words  # goes on with its velocity after a silence
         self.is_mute = "mute" in words
@@ -128,8 +129,12 @@ class Gate:
             self.goals.append(answer.result())
             say("goal", accepted=answer.result().accepted)
 
-        self.client.wait_for_server(30)
-        self.client.send_goal_async(Fibonacci.Goal(order=20)).add_done_callback(answered)
+        def send() -> None:
+            if self.client.server_is_ready():  # to wait for it here would be a silence
+                self.sending.cancel()
+                self.client.send_goal_async(Fibonacci.Goal(order=20)).add_done_callback(answered)
+
+        self.sending = self.node.create_timer(0.01, send, None, steady())
 
     def end(self) -> None:
         """Do as a gate whose lease is over."""
@@ -180,6 +185,7 @@ class Server:
     """An action's server: it works until it is done or canceled, whoever asked."""
 
     def __init__(self, node: Node, ros: RosMap, *words: str) -> None:
+        self.node = node
         self.is_slow = "slow" in words
         self.goal_s = 1.0 if "brief" in words else GOAL_S
         ActionServer(
@@ -188,7 +194,6 @@ class Server:
             ros.mediated["count"].private,
             self.work,
             cancel_callback=self.cancel,
-            callback_group=ReentrantCallbackGroup(),
             result_timeout=2,
         )
 
@@ -197,11 +202,18 @@ class Server:
             time.sleep(0.4)
         return CancelResponse.ACCEPT
 
-    def work(self, goal: Any) -> Fibonacci.Result:
+    async def work(self, goal: Any) -> Fibonacci.Result:
         say("goal began")
         end = time.monotonic() + self.goal_s
-        while time.monotonic() < end and not goal.is_cancel_requested:
-            time.sleep(0.002)
+        over: Future[None] = Future()
+
+        def look() -> None:
+            if goal.is_cancel_requested or time.monotonic() >= end:
+                timer.cancel()
+                over.set_result(None)
+
+        timer = self.node.create_timer(0.005, look, None, steady())
+        await over
         if goal.is_cancel_requested:
             goal.canceled()
             say("goal canceled")
@@ -290,7 +302,7 @@ def main() -> None:
     rclpy.init(context=context, domain_id=ros.domain)
     node = Node(role, context=context, start_parameter_services=False, enable_rosout=False)
     executor: Executor = SingleThreadedExecutor(context=context)
-    if role == "server" or "several" in words:
+    if "several" in words:
         executor = MultiThreadedExecutor(3, context=context)
     executor.add_node(node)
     actor = ROLES[role](node, ros, *words)

@@ -57,7 +57,7 @@ class Canceler:
         self._lost_ns = 0
         self._due_ns = 0
         self._pause_ms = AGAIN_MS
-        self._is_owed = False
+        self._is_owed = self._is_found = False
 
     def lose(self, now_ns: int) -> None:
         """Take note that the heartbeat is lost: an answer is owed."""
@@ -74,7 +74,7 @@ class Canceler:
         for asked in [a for a, ns in self._asked.items() if now_ns - ns >= FORGET_MS * MS]:
             self._client.remove_pending_request(asked)
             del self._asked[asked]
-        if not self._client.service_is_ready():
+        if not self._is_there():
             self._is_owed = self._is_owed and is_lost  # its goals went with it
         elif (is_lost or self._is_owed) and now_ns >= self._due_ns:
             # an id and a time of zero mean every goal
@@ -82,6 +82,13 @@ class Canceler:
             self._asked[asked], self._due_ns = now_ns, now_ns + self._pause_ms * MS
             self._pause_ms = min(2 * self._pause_ms, REST_MS)
             asked.add_done_callback(self._answered)
+
+    def _is_there(self) -> bool:
+        """Return whether the server can be asked, and say it when that changes."""
+        was_found, self._is_found = self._is_found, self._client.service_is_ready()
+        if was_found is not self._is_found:
+            self._log.say("found" if self._is_found else "gone", self._action)
+        return self._is_found
 
     def _answered(self, asked: Future[CancelGoal.Response]) -> None:
         """Take an answer, however late; one to a question from before the loss settles nothing."""

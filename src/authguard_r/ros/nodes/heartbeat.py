@@ -83,7 +83,7 @@ class Told(Struct, frozen=True, kw_only=True):
 
     Args:
         events: that one came, is late or is gone; False leaves the own watch alone.
-        ids: whose each sample is; rclpy before Kilted does not say it.
+        ids: whose each sample is; an older rclpy does not say it.
     """
 
     events: bool = True
