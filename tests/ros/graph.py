@@ -331,4 +331,4 @@ def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
         made.end()
         if made.process is not None:  # pytest shows it when the test fails
             print(made.said())
-            print([(one.kind, one.decision, one.reasons) for one in gate.news()])
+            print([(one.kind, one.decision, one.reasons) for one in gate.news()[-20:]])
