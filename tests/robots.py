@@ -60,7 +60,8 @@ def gate_of(
     path.write_text(yaml.safe_dump(plain))
     init_folder(trust, demo_members(read_site(path), (worlds.RID,)), now=datetime.now(UTC))
     made = RunningGate(site=path, trust=trust, binding=Path(binding), mode=mode, **bounds)
-    with made, attesting(made):
+    with made, attesting(made) as attested:
+        made.move = attested.move
         draft = worlds.draft("mission.yaml", **(changes or {}))
         given = {"chooser": "operator", "repeat": 20, "starts": 20, "max": "20 s"}
         more = [{**given, "irreversible": False, **grant} for grant in grants]

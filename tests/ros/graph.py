@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -179,19 +180,23 @@ class Robot(Peer):
         self.calls: list[str] = []
         self.lamps: list[int] = []
         node, group = self.node, self.group
-        node.create_service(Trigger, "/horn", self._honk, callback_group=group)
-        node.create_service(Empty, "/clear", self._clear, callback_group=group)
+        for name in ("horn", "hold"):
+            called = partial(self._told, name)
+            node.create_service(Trigger, f"/{name}", called, callback_group=group)
+        for name in ("clear", "quiet"):
+            called = partial(self._called, name)
+            node.create_service(Empty, f"/{name}", called, callback_group=group)
         node.create_subscription(
             UInt8, "/lamp", lambda m: self.lamps.append(m.data), 10, callback_group=group
         )
 
-    def _honk(self, _: object, answer: Any) -> Any:
-        self.calls.append("horn")
-        answer.success, answer.message = True, "honked"
+    def _told(self, name: str, _: object, answer: Any) -> Any:
+        self.calls.append(name)
+        answer.success, answer.message = True, f"{name} done"
         return answer
 
-    def _clear(self, _: object, answer: Any) -> Any:
-        self.calls.append("clear")
+    def _called(self, name: str, _: object, answer: Any) -> Any:
+        self.calls.append(name)
         return answer
 
 
@@ -301,6 +306,15 @@ class Graph:
         assert self.process.stdout is not None
         assert "ready" in self.process.stdout.readline(), self.said()
 
+    def kill(self) -> None:
+        """Kill the node as a crash would."""
+        assert self.process is not None
+        assert self.process.stdout is not None
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+        self._errors.close()
+
     def said(self) -> str:
         """Return what the node wrote to standard error."""
         return (self._folder / "node.err").read_text()
@@ -331,4 +345,5 @@ def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
         made.end()
         if made.process is not None:  # pytest shows it when the test fails
             print(made.said())
-            print([(one.kind, one.decision, one.reasons) for one in gate.news()[-20:]])
+            if gate.alive:
+                print([(one.kind, one.decision, one.reasons) for one in gate.news()[-20:]])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -170,7 +171,7 @@ def test_l3_l16_a_hijacked_or_broken_goal_is_refused_and_never_reaches_the_robot
     for name, kind, goal, reason in REFUSED:
         gate.mark()
         assert not nav2.ask(kind, goal).accepted, name
-        until(lambda: gate.refusals(reason), f"{name}: {reason}", seconds=5)
+        until(partial(gate.refusals, reason), f"{name}: {reason}", seconds=5)
     assert nav2.reached == []
     # and it serves on
     nav2.to_pose.end.set()
