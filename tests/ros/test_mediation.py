@@ -352,3 +352,43 @@ def test_a_gate_that_is_killed_leaves_a_robot_whose_goal_is_canceled(
         assert arm.canceled == [True]
         assert not asked(graph, 4, "another").accepted
         mortal.start_gate()
+
+
+def test_a_node_that_is_ended_cancels_what_runs(tmp_path: Path, mortal: RunningGate) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        assert asked(graph, 3).accepted
+        assert graph.terminate() == 0
+        assert arm.canceled == [True]
+        until(lambda: outcomes(mortal) == ["aborted"], "the outcome")
+
+
+def test_a_robot_that_does_not_say_whether_it_takes_a_goal_is_stopped(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """Its planner is told no, the log that nobody knows; a yes that comes too late is canceled."""
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        arm.answers.clear()
+        assert not asked(graph, 3).accepted
+        until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
+        arm.answers.set()
+        until(lambda: arm.canceled == [True], "the cancellation")
+
+
+def test_a_robot_that_is_gone_in_mid_goal_counts_as_standing_only_when_it_says_so(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        robot = graph.robot_process()
+        graph.start()
+        goal = asked(graph, 3)
+        assert goal.accepted
+        robot.kill()
+        robot.wait()
+        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
+            assert lane.stop()["stopped"] is False
+            assert goal.result().status == GoalStatus.STATUS_ABORTED
+            until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
+            graph.robot_process()
+            until(lambda: lane.stop()["stopped"], "its word")
