@@ -137,6 +137,8 @@ class RunningGate:
         self._clients: list[GateClient] = []
         self._count = 0
         self._seen = 0
+        #: where a test's own estimator says that the robot is
+        self.move: Callable[[str], None] | None = None
         here = (Peer(uid=os.geteuid(), roles=EVERY),)
         fresh = default_config(rid, here if peers is None else peers, mode)
         self.configure(msgspec.structs.replace(fresh, **bounds))

@@ -33,6 +33,7 @@ def gate_of(
     profile: Mapping[str, int] | None = None,
     changes: Mapping[str, Any] | None = None,
     mode: Mode = Mode.ENFORCE,
+    **bounds: Any,
 ) -> Iterator[RunningGate]:
     """Yield a gate of the hospital's courier, in the standard words that a binding speaks.
 
@@ -45,6 +46,7 @@ def gate_of(
         profile: what its profile says beside the hospital's.
         changes: fields of the draft of its mission that are not the hospital's.
         mode: it enforces, or only watches.
+        bounds: fields of its configuration that are not as in a fresh set-up.
     """
     plain = yaml.safe_load((worlds.HOSPITAL / "site.yaml").read_text())
     del plain["vocabulary"]
@@ -57,8 +59,9 @@ def gate_of(
     path, trust = folder / "site.yaml", folder / "trust"
     path.write_text(yaml.safe_dump(plain))
     init_folder(trust, demo_members(read_site(path), (worlds.RID,)), now=datetime.now(UTC))
-    made = RunningGate(site=path, trust=trust, binding=Path(binding), mode=mode)
-    with made, attesting(made):
+    made = RunningGate(site=path, trust=trust, binding=Path(binding), mode=mode, **bounds)
+    with made, attesting(made) as attested:
+        made.move = attested.move
         draft = worlds.draft("mission.yaml", **(changes or {}))
         given = {"chooser": "operator", "repeat": 20, "starts": 20, "max": "20 s"}
         more = [{**given, "irreversible": False, **grant} for grant in grants]

@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,9 @@ class Peer:
         return found
 
     def close(self) -> None:
-        """End it."""
+        """End it; a second time changes nothing."""
+        if not self._thread.is_alive():
+            return
         self._executor.shutdown()
         self._thread.join(5)
         self.node.destroy_node()
@@ -118,6 +121,8 @@ class Arm:
         self.goals: list[Any] = []
         self.canceled: list[bool] = []
         self.takes = True
+        self.answers = threading.Event()  # whether it takes a goal
+        self.answers.set()
         self.end = threading.Event()
         self.abort = False
         self.feedback: list[Any] = []
@@ -136,6 +141,7 @@ class Arm:
 
     def _asked(self, goal: Any) -> GoalResponse:
         self.goals.append(goal)
+        self.answers.wait(PATIENCE_S)
         return GoalResponse.ACCEPT if self.takes else GoalResponse.REJECT
 
     def _run(self, handle: Any) -> Any:
@@ -179,19 +185,23 @@ class Robot(Peer):
         self.calls: list[str] = []
         self.lamps: list[int] = []
         node, group = self.node, self.group
-        node.create_service(Trigger, "/horn", self._honk, callback_group=group)
-        node.create_service(Empty, "/clear", self._clear, callback_group=group)
+        for name in ("horn", "hold"):
+            called = partial(self._told, name)
+            node.create_service(Trigger, f"/{name}", called, callback_group=group)
+        for name in ("clear", "quiet"):
+            called = partial(self._called, name)
+            node.create_service(Empty, f"/{name}", called, callback_group=group)
         node.create_subscription(
             UInt8, "/lamp", lambda m: self.lamps.append(m.data), 10, callback_group=group
         )
 
-    def _honk(self, _: object, answer: Any) -> Any:
-        self.calls.append("horn")
-        answer.success, answer.message = True, "honked"
+    def _told(self, name: str, _: object, answer: Any) -> Any:
+        self.calls.append(name)
+        answer.success, answer.message = True, f"{name} done"
         return answer
 
-    def _clear(self, _: object, answer: Any) -> Any:
-        self.calls.append("clear")
+    def _called(self, name: str, _: object, answer: Any) -> Any:
+        self.calls.append(name)
         return answer
 
 
@@ -271,6 +281,7 @@ class Graph:
         self.domain = domain
         self._folder, self._gate = folder, gate
         self._peers: list[Peer] = []
+        self._robots: list[subprocess.Popen[str]] = []
         self.process: subprocess.Popen[str] | None = None
         self.robot: Robot = self.add(Robot(domain))
 
@@ -301,6 +312,36 @@ class Graph:
         assert self.process.stdout is not None
         assert "ready" in self.process.stdout.readline(), self.said()
 
+    def robot_process(self) -> subprocess.Popen[str]:
+        """Return a robot that is a process, in the place of the one that is none."""
+        self.robot.close()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "ros.graph", str(self.domain)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)},
+            cwd=worlds.ROOT,
+        )
+        self._robots.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        return process
+
+    def terminate(self) -> int:
+        """End the node as a service manager does; return its exit code."""
+        assert self.process is not None
+        self.process.terminate()
+        return self.process.wait(PATIENCE_S)
+
+    def kill(self) -> None:
+        """Kill the node as a crash would."""
+        assert self.process is not None
+        assert self.process.stdout is not None
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+        self._errors.close()
+
     def said(self) -> str:
         """Return what the node wrote to standard error."""
         return (self._folder / "node.err").read_text()
@@ -317,6 +358,11 @@ class Graph:
             if self.process.stdout is not None:
                 self.process.stdout.close()
             self._errors.close()
+        for robot in self._robots:
+            robot.kill()
+            robot.wait()
+            if robot.stdout is not None:
+                robot.stdout.close()
         for peer in reversed(self._peers):
             peer.close()
 
@@ -331,4 +377,16 @@ def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
         made.end()
         if made.process is not None:  # pytest shows it when the test fails
             print(made.said())
-            print([(one.kind, one.decision, one.reasons) for one in gate.news()])
+            if gate.alive:
+                print([(one.kind, one.decision, one.reasons) for one in gate.news()[-20:]])
+
+
+def main() -> None:
+    """Be a robot until somebody kills it."""
+    Robot(int(sys.argv[1]))
+    print("ready", flush=True)
+    threading.Event().wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -56,7 +56,7 @@ def test_each_mediated_thing_is_found_again_in_its_own_call(site: Site, binding:
     spoken = bound(binding, ros, site)
     assert {name: len(ways) for name, ways in spoken.tools.items()} == {  # type: ignore[arg-type]
         "send_action_goal": 1,
-        "call_service": 2,
+        "call_service": 4,
         "publish": 2,
     }
     for key, item in ros.mediated.items():

@@ -8,6 +8,7 @@ Spec page: docs/spec/ros.md
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -25,7 +26,7 @@ from authguard_r.client import GateClient
 from authguard_r.wire.messages import ClientRole
 from gates import RunningGate, until
 from robots import gate_of
-from ros.graph import HERE, Arm, Goal, Graph, Stick, graph_of
+from ros.graph import BUDGETS, HERE, Arm, Goal, Graph, Stick, graph_of
 
 IN_DOCK = {"source": "dock", "regions": ["dock"]}
 GRANTS = (
@@ -62,10 +63,22 @@ TOOLS = {"gesture": ["arm"], "lamp": ["lamps"], "drive": ["base"]}
 BRAKES = {"brake_mm_s2": 1000, "reaction_ms": 20}
 
 
+@contextmanager
+def hospital(folder: Path) -> Iterator[RunningGate]:
+    with gate_of(
+        folder,
+        HERE / "binding.yaml",
+        tools=TOOLS,
+        grants=GRANTS,
+        profile=BRAKES,
+        changes={"budgets": BUDGETS},
+    ) as made:
+        yield made
+
+
 @pytest.fixture(scope="module")
 def gate() -> Iterator[RunningGate]:
-    folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
-    with gate_of(folder, HERE / "binding.yaml", tools=TOOLS, grants=GRANTS, profile=BRAKES) as made:
+    with hospital(Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))) as made:
         yield made
 
 
@@ -188,15 +201,26 @@ def test_a_stop_cancels_the_goal_and_its_planner_is_told(graph: Graph, gate: Run
     assert goal.result().status == GoalStatus.STATUS_ABORTED
 
 
-def test_a_service_is_called_when_it_is_granted_and_says_no_when_it_is_not(
-    graph: Graph, gate: RunningGate
-) -> None:
+def test_a_service_that_is_granted_is_answered_by_the_robot(graph: Graph) -> None:
     graph.start()
     planner = graph.planner()
     said = planner.call(Trigger, "/llm/horn", Trigger.Request()).result(20)
-    assert (said.success, said.message) == (True, "honked")
-    planner.call(Empty, "/llm/clear", Empty.Request()).result(20)  # look-out is in the mission
+    assert (said.success, said.message) == (True, "horn done")
+    planner.call(Empty, "/llm/clear", Empty.Request()).result(20)  # the hospital's look-out
     assert graph.robot.calls == ["horn", "clear"]
+
+
+def test_a_service_that_is_refused_says_why_where_it_has_a_word_for_no(graph: Graph) -> None:
+    """And where it has none it is not answered: the robot never gave an answer."""
+    graph.start()
+    planner = graph.planner()
+    quiet = planner.call(Empty, "/llm/quiet", Empty.Request())
+    said = planner.call(Trigger, "/llm/hold", Trigger.Request()).result(20)
+    assert (said.success, said.message) == (False, "CAPABILITY_EXCEEDED")
+    until(lambda: graph.said().count("CAPABILITY_EXCEEDED") == 2, "both refusals")
+    assert planner.call(Trigger, "/llm/horn", Trigger.Request()).result(20).success
+    assert not quiet.done()
+    assert graph.robot.calls == ["horn"]
 
 
 def test_a_message_is_published_when_it_is_granted(graph: Graph, gate: RunningGate) -> None:
@@ -259,3 +283,112 @@ def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate
     until(lambda: stick.sent > 20, "more velocities")
     assert set(base.speeds) == {0.0}
     assert len([r for r in gate.news() if r.kind == "decision"]) == 1  # not fifty a second
+
+
+def test_of_two_planners_of_velocities_one_steers(graph: Graph, gate: RunningGate) -> None:
+    base = graph.robot.base
+    graph.start()
+    one = Stick(graph.planner("one"), Twist, "/llm/cmd_vel")
+    two = Stick(graph.planner("two"), Twist, "/llm/cmd_vel")
+    until(lambda: base.told, "the base is heard by")
+    one.message = twist(0.2)
+    until(lambda: 0.2 in base.speeds, "the velocity")
+    two.message = twist(0.1)
+    until(lambda: two.sent > 10, "ten of the other's")
+    one.message = twist(-0.2)
+    until(lambda: -0.2 in base.speeds, "the first one's next")
+    assert set(base.speeds) == {0.0, 0.2, -0.2}
+    one.message = None
+    until(lambda: 0.1 in base.speeds, "the other's turn")
+
+
+@pytest.fixture
+def mortal(tmp_path: Path) -> Iterator[RunningGate]:
+    """A gate of a test's own, whose mission ends suspended."""
+    with hospital(Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))) as made:
+        yield made
+
+
+def test_a_node_that_was_killed_cancels_what_runs_before_it_serves_again(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """Nobody knows what became of its goal: a person has to say, before anything begins."""
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        assert asked(graph, 3).accepted
+        graph.kill()
+        graph.start()
+        assert arm.canceled == [True]
+        assert not asked(graph, 4, "another").accepted
+        until(lambda: mortal.refusals("MISSION_SUSPENDED"), "the refusal")
+
+
+def test_a_robot_that_leaves_its_regions_is_stopped_in_mid_goal(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        goal = asked(graph, 3)
+        assert goal.accepted
+        assert mortal.move is not None
+        mortal.move("public-corridor")
+        assert goal.result().status == GoalStatus.STATUS_ABORTED
+        assert arm.canceled == [True]
+        until(lambda: outcomes(mortal) == ["aborted"], "the outcome")
+
+
+def test_a_gate_that_is_killed_leaves_a_robot_whose_goal_is_canceled(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """The controller's end is its dead man; and no word is told that nobody noted."""
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        goal = asked(graph, 3)
+        assert goal.accepted
+        arm.result = Fibonacci.Result(sequence=[7])
+        mortal.kill9()
+        said = goal.result()
+        assert (said.status, said.result) == (GoalStatus.STATUS_ABORTED, Fibonacci.Result())
+        assert arm.canceled == [True]
+        assert not asked(graph, 4, "another").accepted
+        mortal.start_gate()
+
+
+def test_a_node_that_is_ended_cancels_what_runs(tmp_path: Path, mortal: RunningGate) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        assert asked(graph, 3).accepted
+        assert graph.terminate() == 0
+        assert arm.canceled == [True]
+        until(lambda: outcomes(mortal) == ["aborted"], "the outcome")
+
+
+def test_a_robot_that_does_not_say_whether_it_takes_a_goal_is_stopped(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """Its planner is told no, the log that nobody knows; a yes that comes too late is canceled."""
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        arm.answers.clear()
+        assert not asked(graph, 3).accepted
+        until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
+        arm.answers.set()
+        until(lambda: arm.canceled == [True], "the cancellation")
+
+
+def test_a_robot_that_is_gone_in_mid_goal_counts_as_standing_only_when_it_says_so(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        robot = graph.robot_process()
+        graph.start()
+        goal = asked(graph, 3)
+        assert goal.accepted
+        robot.kill()
+        robot.wait()
+        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
+            assert lane.stop()["stopped"] is False
+            assert goal.result().status == GoalStatus.STATUS_ABORTED
+            until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
+            graph.robot_process()
+            until(lambda: lane.stop()["stopped"], "its word")

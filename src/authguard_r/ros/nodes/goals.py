@@ -54,6 +54,10 @@ class ActionOutlet:
         self._canceler = node.create_client(
             CancelGoal, f"{name}/_action/cancel_goal", callback_group=group
         )
+        self._results = node.create_client(
+            kind.Impl.GetResultService, f"{name}/_action/get_result", callback_group=group
+        )
+        self._ask_result = kind.Impl.GetResultService.Request
         node.create_subscription(
             GoalStatusArray,
             f"{name}/_action/status",
@@ -61,7 +65,7 @@ class ActionOutlet:
             qos_profile_action_status_default,
             callback_group=group,
         )
-        self._statuses: dict[bytes, int] = {}
+        self._active: dict[bytes, Any] = {}  # the ids of goals that run, as their server says
         self._news = asyncio.Event()
         self._order: Order | None = None  # until it is over
         self._goal: Any = None
@@ -82,24 +86,33 @@ class ActionOutlet:
         """Do nothing: it takes its time."""
 
     async def stop(self) -> bool:
-        """Cancel every goal, and wait until the server says that none runs any more."""
+        """Cancel every goal, and wait until the server has said of each that it is over."""
         if not self._canceler.service_is_ready():
-            self._statuses.clear()  # of a server that is gone
             return self._order is None
         try:
             async with asyncio.timeout(STOP_S):
                 call = partial(self._canceler.call_async, CancelGoal.Request())
                 said = await self._robot.spinner.ask(call)
-                going = {bytes(one.goal_id.uuid) for one in said.goals_canceling}
-                if self._goal is not None:  # of a server that has forgotten it, too
-                    self._robot.spinner.begin(self._await_result(self._goal))
-                while self._is_going(going):
+                going = dict(self._active)
+                going |= {bytes(one.goal_id.uuid): one.goal_id for one in said.goals_canceling}
+                if self._goal is not None:
+                    going[bytes(self._goal.goal_id.uuid)] = self._goal.goal_id
+                await asyncio.gather(*map(self._ended, going.values()))
+                while self._order is not None and not self._is_lost():
                     self._news.clear()
                     await self._news.wait()
         except TimeoutError:
             return False
         self._order = self._goal = None
         return True
+
+    async def _ended(self, goal_id: Any) -> None:
+        """Return once the server says that a goal is over, or that it knows of none such."""
+        request = self._ask_result(goal_id=goal_id)
+        said = await self._robot.spinner.ask(partial(self._results.call_async, request))
+        self._active.pop(bytes(goal_id.uuid), None)
+        if self._goal is not None and goal_id == self._goal.goal_id:
+            self._answered(self._goal, said)
 
     async def _attend(self, order: Order) -> None:
         """Carry it out; what goes wrong here leaves nobody who knows what the robot does."""
@@ -128,10 +141,10 @@ class ActionOutlet:
         self._goal = goal
         release.cancel = partial(self._cancel, goal)
         release.take()
-        await self._await_result(goal)
+        self._answered(goal, await spinner.ask(goal.get_result_async))
 
-    async def _await_result(self, goal: Any) -> None:
-        said = await self._robot.spinner.ask(goal.get_result_async)
+    def _answered(self, goal: Any, said: Any) -> None:
+        """Take in how a goal ended; the first answer counts."""
         order = self._order
         if order is None or goal is not self._goal:
             return
@@ -155,17 +168,11 @@ class ActionOutlet:
 
     def _heard(self, message: Any) -> None:
         """Take in what the server says of its goals."""
-        self._statuses = {bytes(s.goal_info.goal_id.uuid): s.status for s in message.status_list}
-        self._news.set()
-
-    def _is_going(self, going: set[bytes]) -> bool:
-        """True while a goal of ours or of anybody else's may run."""
-        if self._order is not None and not self._is_lost():
-            return True
-        known = self._statuses
-        if any(known.get(goal, GoalStatus.STATUS_CANCELING) in _ACTIVE for goal in going):
-            return True
-        return any(status in _ACTIVE for status in known.values())
+        self._active = {
+            bytes(one.goal_info.goal_id.uuid): one.goal_info.goal_id
+            for one in message.status_list
+            if one.status in _ACTIVE
+        }
 
     def _is_lost(self) -> bool:
         """True of a goal that a server which answers has never answered."""

@@ -32,6 +32,8 @@ from authguard_r.tools.planner import LostError
 SILENT_S = 0.5
 #: After a refusal nothing is proposed for so long, in seconds.
 PAUSE_S = 1.0
+#: Between two samples; the gate drops what comes sooner than 10 ms after the last, in seconds.
+GAP_S = 0.011
 _DEPTH = 10
 #: Samples that wait for the gate; of more the oldest are dropped.
 _MOST_WAITING = 5
@@ -128,6 +130,7 @@ class StreamInlet:
                 while self._waiting:
                     sample = self._waiting.popleft()
                     await stream.sample(sample or dict.fromkeys(names, 0))
+                    await asyncio.sleep(GAP_S)
                 self._news.clear()
                 with suppress(TimeoutError):
                     await asyncio.wait_for(self._news.wait(), _LOOK_S)

@@ -3,7 +3,7 @@
 
 Run in an environment with rclpy, in a network namespace of its own:
 
-    unshare -rn sh -c 'ip link set lo up; python benchmarks/ros.py --json out.json'
+    unshare -rn sh -c 'ip link set lo up; python benchmarks/ros_node.py --json out.json'
 
 The same robot, planner and process are asked both ways, in turns; medians, in milliseconds. The
 bare fsync is that of the gate's own file system in the same run.
