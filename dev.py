@@ -84,6 +84,9 @@ def test(arguments: list[str]) -> int:
     if "AUTHGUARD_INSPECT" not in os.environ and "AUTHGUARD_CI" not in os.environ:
         print("no environment with Inspect (AUTHGUARD_INSPECT): not tested", flush=True)
         os.environ["AUTHGUARD_UNMEASURED_INSPECT"] = "*/authguard_r/adapters/inspect.py"
+    if "AUTHGUARD_ROS" not in os.environ:
+        print("no environment with ROS 2 (AUTHGUARD_ROS): not tested", flush=True)
+        os.environ["AUTHGUARD_UNMEASURED_ROS"] = "*/authguard_r/ros/nodes/*"
     return run(["pytest", *PARALLEL, *others, *covered, "tests"]) or first
 
 

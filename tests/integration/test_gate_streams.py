@@ -6,6 +6,7 @@ Real processes on a yard made for it: a lane of twenty meters and a street beyon
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -16,9 +17,10 @@ from typing import Any
 import pytest
 
 from authguard_r.assembly import demo_members
-from authguard_r.client import GateClient
+from authguard_r.client import AsyncGateClient, GateClient
+from authguard_r.client.steering import Steering
 from authguard_r.core.errors import RefusedError
-from authguard_r.core.identifiers import RobotId
+from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.keys.setup import init_folder
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import ClientRole
@@ -178,6 +180,29 @@ def test_samples_within_the_limits_are_forwarded_and_counted(gate: RunningGate) 
     decisions = [r for r in gate.records() if r.kind == "decision"]
     assert len(decisions) == 1  # one decision, whatever was sampled
     stands(gate)
+
+
+def test_a_stream_is_steered_while_its_proposal_is_waited_for(gate: RunningGate) -> None:
+    async def drive() -> tuple[list[bool], dict[str, Any]]:
+        told: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        made = await AsyncGateClient.connect(gate.socket, role=ClientRole.PLANNER, client="driver")
+        async with made as planner:
+            going = asyncio.ensure_future(planner.propose(DRIVE, on_step=told.put_nowait))
+            stream = Steering(planner, Digest((await told.get())["ticket"]))
+            found = []
+            for linear in (300, 1_001):
+                params = {"linear_mm_s": linear, "lateral_mm_s": 0, "turn_urad_s": 0}
+                found.append(await stream.sample(params))
+                await asyncio.sleep(0.02)
+            await stream.close()
+            ended = await going
+            with pytest.raises(RefusedError):
+                await stream.close()
+            return found, ended
+
+    found, ended = asyncio.run(drive())
+    assert found == [True, False]
+    assert ended["steps"][0]["execution"]["outcome"] == "succeeded"
 
 
 def test_a_sample_outside_the_signed_limits_becomes_zero(gate: RunningGate) -> None:
