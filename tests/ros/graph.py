@@ -7,11 +7,13 @@ asked on its thread. Every wait is for a condition, with a deadline.
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import os
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -37,6 +39,12 @@ from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
 import worlds
+from authguard_r.client.link import Log
+from authguard_r.keys.trust import read_trust
+from authguard_r.ros.map import parse_map
+from authguard_r.ros.nodes.node import Place, mediating
+from authguard_r.site.source import read_site
+from authguard_r.tools.given import given_binding
 from gates import RunningGate, environment, until
 
 #: Bound against hanging, in seconds; nothing is measured against it.
@@ -167,7 +175,12 @@ class Base:
 
     def __init__(self, peer: Peer, kind: Any, name: str) -> None:
         self.told: list[Any] = []
-        peer.node.create_subscription(kind, name, self.told.append, 10, callback_group=peer.group)
+        self.last_s = 0.0
+        peer.node.create_subscription(kind, name, self._hear, 10, callback_group=peer.group)
+
+    def _hear(self, message: Any) -> None:
+        self.told.append(message)
+        self.last_s = time.monotonic()
 
     @property
     def speeds(self) -> list[float]:
@@ -297,7 +310,7 @@ class Graph:
         """Start the node; the robot's own side has to be there."""
         gate = self._gate
         path = self._folder / "map.yaml"
-        path.write_text(source.read_text().replace("domain: 1", f"domain: {self.domain}"))
+        path.write_text(self._map(source))
         words = ["--map", path, "--run", gate.run, "--site", gate.site, "--trust", gate.trust]
         words += ["--binding", gate.binding]
         self._errors = (self._folder / "node.err").open("w")
@@ -311,6 +324,36 @@ class Graph:
         )
         assert self.process.stdout is not None
         assert "ready" in self.process.stdout.readline(), self.said()
+
+    @contextmanager
+    def inside(self) -> Iterator[asyncio.AbstractEventLoop]:
+        """Yield the event loop of a node in a thread of this process."""
+        gate, begun, over = self._gate, Future[asyncio.AbstractEventLoop](), asyncio.Event()
+        site = read_site(gate.site)
+        place = Place(
+            ros=parse_map(self._map(HERE / "map.yaml"), where="map"),
+            run=gate.run,
+            site=site,
+            binding=given_binding(str(gate.binding), site),
+            trust=lambda: read_trust(gate.trust),
+        )
+
+        async def live() -> None:
+            async with mediating(place, Log()):
+                begun.set_result(asyncio.get_running_loop())
+                await over.wait()
+
+        thread = threading.Thread(target=lambda: asyncio.run(live()), daemon=True)
+        thread.start()
+        loop = begun.result(PATIENCE_S)
+        try:
+            yield loop
+        finally:
+            loop.call_soon_threadsafe(over.set)
+            thread.join(PATIENCE_S)
+
+    def _map(self, source: Path) -> str:
+        return source.read_text().replace("domain: 1", f"domain: {self.domain}")
 
     def robot_process(self) -> subprocess.Popen[str]:
         """Return a robot that is a process, in the place of the one that is none."""

@@ -7,6 +7,8 @@ Spec page: docs/spec/ros.md
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -283,6 +285,23 @@ def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate
     until(lambda: stick.sent > 20, "more velocities")
     assert set(base.speeds) == {0.0}
     assert len([r for r in gate.news() if r.kind == "decision"]) == 1  # not fifty a second
+
+
+def test_a_loop_that_is_stuck_says_zero_once_and_then_nothing(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """The thread of ROS spins on: it must not repeat a velocity that nobody holds any more."""
+    with graph_of(tmp_path, mortal) as graph, graph.inside() as loop:
+        base, stuck = graph.robot.base, threading.Event()
+        stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+        until(lambda: base.told, "the base is heard by")
+        stick.message = twist(0.2)
+        until(lambda: 0.2 in base.speeds, "the velocity")
+        loop.call_soon_threadsafe(stuck.wait, 20)
+        until(lambda: base.speeds[-1] == 0.0, "zero")
+        until(lambda: time.monotonic() - base.last_s > 0.5, "silence")
+        assert base.speeds[-2:] == [0.2, 0.0]
+        stuck.set()
 
 
 def test_of_two_planners_of_velocities_one_steers(graph: Graph, gate: RunningGate) -> None:

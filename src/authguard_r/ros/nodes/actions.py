@@ -201,7 +201,7 @@ class ActionInlet:
                 texts = [text for text in texts_of(feedback) if text not in noted]
                 await self._public.proposals.note(texts)
                 noted.update(texts)
-                await self._spinner.do(handle.publish_feedback, feedback)
+                handle.publish_feedback(feedback)
             except AuthGuardError as error:  # nobody took note: nobody sees it
                 self._say(error)
             finally:
@@ -221,7 +221,7 @@ class ActionInlet:
         answer = release.answer if is_noted and is_mine else None
         result = self._kind.Result() if answer is None else answer
         self._running.pop(bytes(handle.goal_id.uuid), None)
-        await self._spinner.do(self._server.finish, handle, partial(_ended, release.status, result))
+        self._server.finish(handle, partial(_ended, release.status, result))
 
     def _drained(self, release: Release) -> asyncio.Task[None]:
         return self._spinner.begin(release.feedback.join())

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot's side of an action: sends a released goal, and cancels whatever runs.
 
-It stands when its server says so: a canceled goal runs until its result has come.
+An action is three services and two topics, and is used as such here: `rclpy.action.ActionClient`
+loses an answer that comes while another thread still sends the question. It stands when its server
+says so: a canceled goal runs until its result has come.
 Spec page: docs/spec/ros.md#goals
 """
 
@@ -10,15 +12,15 @@ from __future__ import annotations
 import asyncio
 from functools import partial
 from typing import Any
+from uuid import uuid4
 
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from action_msgs.srv import CancelGoal
-from rclpy.action import ActionClient
-from rclpy.qos import qos_profile_action_status_default
+from rclpy.qos import QoSProfile, qos_profile_action_status_default
+from unique_identifier_msgs.msg import UUID
 
 from authguard_r.core.standing import Outcome
 from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot, fields_of
-from authguard_r.ros.nodes.releases import Release
 from authguard_r.tools.server import Answer
 
 #: A server that lives says within this whether it takes a goal, in seconds.
@@ -49,38 +51,50 @@ class ActionOutlet:
     def __init__(self, robot: Robot, kind: Any, name: str) -> None:
         self.kind = kind.Goal
         self._robot = robot
-        node, group = robot.spinner.node, robot.group
-        self._client = ActionClient(node, kind, name, callback_group=group)
-        self._canceler = node.create_client(
-            CancelGoal, f"{name}/_action/cancel_goal", callback_group=group
+        self._impl = kind.Impl
+        node, group, hidden = robot.spinner.node, robot.group, f"{name}/_action"
+        self._sender, self._canceler, self._asker = (
+            node.create_client(service, f"{hidden}/{what}", callback_group=group)
+            for service, what in (
+                (kind.Impl.SendGoalService, "send_goal"),
+                (CancelGoal, "cancel_goal"),
+                (kind.Impl.GetResultService, "get_result"),
+            )
         )
-        self._results = node.create_client(
-            kind.Impl.GetResultService, f"{name}/_action/get_result", callback_group=group
-        )
-        self._ask_result = kind.Impl.GetResultService.Request
-        node.create_subscription(
-            GoalStatusArray,
-            f"{name}/_action/status",
-            partial(robot.spinner.soon, self._heard),
-            qos_profile_action_status_default,
-            callback_group=group,
-        )
+        self._heard = [
+            node.create_subscription(
+                message,
+                f"{hidden}/{what}",
+                partial(robot.spinner.soon, heard),
+                profile,
+                callback_group=group,
+            )
+            for message, what, heard, profile in (
+                (kind.Impl.FeedbackMessage, "feedback", self._fed, QoSProfile(depth=10)),
+                (GoalStatusArray, "status", self._told, qos_profile_action_status_default),
+            )
+        ]
         self._active: dict[bytes, Any] = {}  # the ids of goals that run, as their server says
         self._news = asyncio.Event()
         self._order: Order | None = None  # until it is over
-        self._goal: Any = None
+        self._goal = UUID()  # its id
+        self._is_taken = False
         self._asked_s = 0.0
 
     @property
     def is_there(self) -> bool:
-        """True while somebody serves it."""
-        return bool(self._client.server_is_ready())
+        """True while somebody serves it, all of it."""
+        clients = (self._sender, self._canceler, self._asker)
+        return all(client.service_is_ready() for client in clients) and all(
+            topic.get_publisher_count() > 0 for topic in self._heard
+        )
 
     def begin(self, order: Order) -> None:
         """Send the goal."""
-        self._order, self._goal = order, None
+        self._order, self._is_taken = order, False
+        self._goal = UUID(uuid=list(uuid4().bytes))
         self._asked_s = asyncio.get_running_loop().time()
-        self._robot.spinner.begin(self._attend(order))
+        self._robot.spinner.begin(self._attend(order, self._goal))
 
     def pass_time(self) -> None:
         """Do nothing: it takes its time."""
@@ -91,62 +105,53 @@ class ActionOutlet:
             return self._order is None
         try:
             async with asyncio.timeout(STOP_S):
-                call = partial(self._canceler.call_async, CancelGoal.Request())
-                said = await self._robot.spinner.ask(call)
+                said = await self._ask(self._canceler, CancelGoal.Request())
                 going = dict(self._active)
                 going |= {bytes(one.goal_id.uuid): one.goal_id for one in said.goals_canceling}
-                if self._goal is not None:
-                    going[bytes(self._goal.goal_id.uuid)] = self._goal.goal_id
+                if self._order is not None and self._is_taken:
+                    going[bytes(self._goal.uuid)] = self._goal
                 await asyncio.gather(*map(self._ended, going.values()))
                 while self._order is not None and not self._is_lost():
                     self._news.clear()
                     await self._news.wait()
         except TimeoutError:
             return False
-        self._order = self._goal = None
+        self._order = None
         return True
 
-    async def _ended(self, goal_id: Any) -> None:
-        """Return once the server says that a goal is over, or that it knows of none such."""
-        request = self._ask_result(goal_id=goal_id)
-        said = await self._robot.spinner.ask(partial(self._results.call_async, request))
-        self._active.pop(bytes(goal_id.uuid), None)
-        if self._goal is not None and goal_id == self._goal.goal_id:
-            self._answered(self._goal, said)
-
-    async def _attend(self, order: Order) -> None:
+    async def _attend(self, order: Order, goal: Any) -> None:
         """Carry it out; what goes wrong here leaves nobody who knows what the robot does."""
         try:
-            await self._carry(order)
+            await self._carry(order, goal)
         except Exception:  # noqa: BLE001 - whatever it is
             order.release.end(Outcome.UNKNOWN)
             self._robot.astray()
 
-    async def _carry(self, order: Order) -> None:
+    async def _carry(self, order: Order, goal: Any) -> None:
         """Send the goal, and take note of what the server says of it."""
-        release, spinner = order.release, self._robot.spinner
-        fed = partial(_fed, spinner.soon, release)
-        send = partial(self._client.send_goal_async, order.message, feedback_callback=fed)
-        asked = spinner.begin(spinner.ask(send))
+        release = order.release
+        request = self._impl.SendGoalService.Request(goal_id=goal, goal=order.message)
+        asked = self._robot.spinner.begin(self._ask(self._sender, request))
         done, _ = await asyncio.wait({asked}, timeout=TAKE_S)
         if not done:
             release.end(Outcome.UNKNOWN)
             self._robot.astray()
-        goal = await asked
-        if not goal.accepted:
+        if not (await asked).accepted:
             self._over(order, Outcome.NOT_STARTED)
             return
-        if not release.runs:  # nobody waits for it any more
-            await spinner.ask(goal.cancel_goal_async)
-        self._goal = goal
         release.cancel = partial(self._cancel, goal)
+        if not release.runs:  # nobody waits for it any more
+            release.cancel()
+        self._is_taken = goal is self._goal
         release.take()
-        self._answered(goal, await spinner.ask(goal.get_result_async))
+        await self._ended(goal)
 
-    def _answered(self, goal: Any, said: Any) -> None:
-        """Take in how a goal ended; the first answer counts."""
+    async def _ended(self, goal: Any) -> None:
+        """Return once the server says that a goal is over, or that it knows of none such."""
+        said = await self._ask(self._asker, self._impl.GetResultService.Request(goal_id=goal))
+        self._active.pop(bytes(goal.uuid), None)
         order = self._order
-        if order is None or goal is not self._goal:
+        if order is None or goal is not self._goal:  # the first answer counts
             return
         outcome = _OUTCOMES.get(said.status, Outcome.UNKNOWN)
         told = order.release.answered(said.result, status=said.status)
@@ -159,14 +164,24 @@ class ActionOutlet:
     def _over(self, order: Order, outcome: Outcome) -> None:
         order.release.end(outcome)
         if self._order is order:
-            self._order = self._goal = None
+            self._order = None
         self._news.set()
         self._robot.changed()
 
     def _cancel(self, goal: Any) -> None:
-        self._robot.spinner.begin(self._robot.spinner.ask(goal.cancel_goal_async))
+        request = CancelGoal.Request()
+        request.goal_info.goal_id = goal
+        self._robot.spinner.begin(self._ask(self._canceler, request))
 
-    def _heard(self, message: Any) -> None:
+    async def _ask(self, client: Any, request: Any) -> Any:
+        return await self._robot.spinner.ask(partial(client.call_async, request))
+
+    def _fed(self, message: Any) -> None:
+        """Take in how a goal of ours goes; the first word may come before its acceptance."""
+        if self._order is not None and message.goal_id == self._goal:
+            self._order.release.fed(message.feedback)
+
+    def _told(self, message: Any) -> None:
         """Take in what the server says of its goals."""
         self._active = {
             bytes(one.goal_info.goal_id.uuid): one.goal_info.goal_id
@@ -177,8 +192,4 @@ class ActionOutlet:
     def _is_lost(self) -> bool:
         """True of a goal that a server which answers has never answered."""
         waited_s = asyncio.get_running_loop().time() - self._asked_s
-        return self._goal is None and waited_s > _LOST_S
-
-
-def _fed(soon: Any, release: Release, message: Any) -> None:
-    soon(release.fed, message.feedback)
+        return not self._is_taken and waited_s > _LOST_S

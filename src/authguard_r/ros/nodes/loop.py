@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One thread that spins a node, beside the event loop that has the gate's ends.
 
-What is asked of ROS is asked on the thread alone, for `rclpy` loses an answer that comes while
-another thread still sends the question. The event loop publishes, and looks who is there. A
-callback that raises ends the thread, and with it the node. Spec page: docs/spec/ros.md#threads
+What a node has is made on the thread; the event loop publishes, asks services, and looks who is
+there, which `rclpy` takes from any thread. A callback that raises ends the thread, and with it the
+node. Spec page: docs/spec/ros.md#threads
 """
 
 from __future__ import annotations
@@ -62,27 +62,16 @@ class Spinner:
         return await found
 
     async def ask(self, begin: Callable[[], Any]) -> Any:
-        """Return what the future of `rclpy` brings that a function begins on the thread.
+        """Return what the future of `rclpy` brings that a function returns: a service's answer.
 
         Canceled, it waits no more; what was asked was asked.
         """
         found: asyncio.Future[Any] = self.loop.create_future()
 
         def answered(future: Any) -> None:
-            try:
-                value = future.result()
-            except Exception as error:  # noqa: BLE001 - it is the caller's, who waits
-                self.soon(_fail, found, error)
-            else:
-                self.soon(_fill, found, value)
+            self.soon(_fill, found, future.result())
 
-        def run() -> None:
-            try:
-                begin().add_done_callback(answered)
-            except Exception as error:  # noqa: BLE001 - it is the caller's, who waits
-                self.soon(_fail, found, error)
-
-        self._executor.create_task(run)
+        begin().add_done_callback(answered)
         return await found
 
     def begin(self, work: Coroutine[Any, Any, T]) -> asyncio.Task[T]:

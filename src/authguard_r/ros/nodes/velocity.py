@@ -18,7 +18,7 @@ from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot
 from authguard_r.site.model import Profile, stopping_mm
 
 #: The ends look at their body every 10 ms; without a look for so long they are not alive.
-ALIVE_MS = 100
+ALIVE_MS = 80
 #: After its time a stream that was sampled is ended here, if the gate does not.
 _SLACK_MS = 500
 _LOOK_S = 0.01
@@ -43,7 +43,7 @@ class StreamOutlet:
         self._speed_mm_s = 0  # the highest since it stood
         self._order: Order | None = None
         self._ends_ms = 0
-        self._is_sampled = False
+        self._is_sampled = self._is_silent = False
         self._stood_ms = self._seen_ms = mono_ms()
         node = robot.spinner.node
         qos = actuation_qos()
@@ -117,9 +117,16 @@ class StreamOutlet:
                 order.release.end(Outcome.SUCCEEDED)
 
     def _repeat(self) -> None:
-        """Say it again, on the thread of ROS; zero when the ends do not look any more."""
-        alive = mono_ms() - self._seen_ms < ALIVE_MS
-        self._publisher.publish(self._message if alive else self._zero)
+        """Say it again, on the thread of ROS.
+
+        When the ends do not look any more, zero is the last word: silence stops what is left.
+        """
+        if mono_ms() - self._seen_ms < ALIVE_MS:
+            self._is_silent = False
+            self._publisher.publish(self._message)
+        elif not self._is_silent:
+            self._is_silent = True
+            self._publisher.publish(self._zero)
 
     def _heard(self) -> bool:
         """True when somebody hears zero, or nobody was ever told to move."""
