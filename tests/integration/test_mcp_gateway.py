@@ -60,6 +60,7 @@ from authguard_r.tools.server import CallError
 from authguard_r.wire.messages import ClientRole, Mode
 from courier_server import FIELDS
 from gates import AUTHGUARD, PATIENCE_S, RunningGate, environment, until
+from guarded import often
 from worlds import ROOT
 
 SERVER = ROOT / "tests" / "courier_server.py"
@@ -579,10 +580,6 @@ def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path, front
     Over HTTP each call is a request of its own, and nobody says in which order those arrive.
     """
     count = 1_000
-    draft = worlds.draft("mission.yaml")
-    often = {"repeat": count, "starts": count}
-    grants = [{**g, **(often if g["id"] == "look-out" else {})} for g in draft["grants"]]
-    budgets = {**draft["budgets"], "actions": count, "rate": {"count": count, "per": "10 s"}}
 
     async def talk(house: House) -> list[types.CallToolResult]:
         async with fronted(house, front) as client:
@@ -590,10 +587,11 @@ def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path, front
             return await asyncio.gather(*calls)
 
     with RunningGate() as gate, attesting(gate) as where:
-        gate.activate(gate.token(gate.mission(grants=grants, budgets=budgets)))
+        gate.activate(often(gate, count=count))
         house = House(gate, where, tmp_path)
         answers = asyncio.run(talk(house))
-    assert [answer for answer in answers if answer.is_error] == []
+        why = {r.seq: r.reasons for r in gate.records() if r.kind == "outcome" and r.reasons}
+    assert [answer for answer in answers if answer.is_error] == [], why
     order = [verdict(answer)["seq"] for answer in answers]
     assert len(set(order)) == count
     if front != "http":

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import base64
-import resource
+import subprocess
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from authguard_r.core.encoding import b64, encode, unb64
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
-    EnvironmentFault,
     MalformedError,
 )
 from authguard_r.core.reasons import Reason
@@ -239,16 +239,34 @@ def test_more_than_a_file_of_keys_is_not_sealed() -> None:
     assert caught.value.where == "key"
 
 
+#: In a process of its own: one that lives long may have the memory from what it freed.
+SCARCE = """
+import resource, sys
+from pathlib import Path
+
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.keys.envelope import unseal
+
+sealed, said = sys.stdin.buffer.read(), sys.argv[1]
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+before = resource.getrlimit(resource.RLIMIT_AS)
+resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + (24 << 20), before[1]))
+try:
+    unseal(sealed, said, where="my.key.pem")
+except EnvironmentFault as error:
+    sys.stderr.write(error.message)
+finally:
+    resource.setrlimit(resource.RLIMIT_AS, before)
+sys.stdout.buffer.write(unseal(sealed, said, where="my.key.pem"))
+"""
+
+
 def test_too_little_memory_is_said() -> None:
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + (24 << 20), before[1]))
-    try:
-        error = refused(SEALED, EnvironmentFault)
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
-    assert "64 MiB" in error.message
-    assert unseal(SEALED, SAID, where="f") == PEM
+    words = [sys.executable, "-c", SCARCE, SAID]
+    done = subprocess.run(words, input=SEALED, capture_output=True, check=True)
+    assert b"64 MiB" in done.stderr
+    assert SAID.encode() not in done.stderr
+    assert done.stdout == PEM
 
 
 # -- the file as a signer --------------------------------------------------------------------------
