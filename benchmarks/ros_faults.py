@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import statistics
 import sys
@@ -89,6 +90,7 @@ def main() -> int:
         "schema": "authguard-r/ros-faults/1",
         **machine.describe(Path(__file__).parent),
         "trials": options.trials,
+        "load": [round(load, 1) for load in os.getloadavg()],  # what else the machine had to do
         "before": {"stands_ms": ACTUATOR_MS, "canceled_ms": CANCELED_MS},
         "faults": found,
     }

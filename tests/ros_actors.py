@@ -11,10 +11,12 @@ from __future__ import annotations
 import asyncio
 import json
 import queue
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -254,12 +256,11 @@ class Rogue:
         self.velocity.linear.x = float(x)
         self.samples = 0
         node.create_timer(0.02, self.publish, None, steady())
+        obey(node, {"count": lambda: say("samples", count=self.samples)})
 
     def publish(self) -> None:
         self.publisher.publish(self.velocity)
         self.samples += 1
-        if self.samples in {1, 50}:
-            say("published", count=self.samples)
 
 
 class Looker:
@@ -307,11 +308,13 @@ def main() -> None:
     executor.add_node(node)
     actor = ROLES[role](node, ros, *words)
     say("ready", role=type(actor).__name__)
-    try:
-        executor.spin()
-    except SystemExit:
-        node.destroy_node()
-        context.try_shutdown()
+    over = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: over.set())
+    with suppress(SystemExit):
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.1)
+    node.destroy_node()
+    context.try_shutdown()
 
 
 if __name__ == "__main__":

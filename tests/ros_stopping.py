@@ -39,7 +39,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src"
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 60.0
 #: A process that was told to end is killed after so long, in seconds.
-_END_S = 5.0
+_END_S = 3.0
 _DOMAINS = itertools.count(1 + os.getpid() % 90)
 _SHARED = Path("/dev/shm")
 _ENDS = {"goal canceled", "goal succeeded"}

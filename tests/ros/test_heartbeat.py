@@ -18,28 +18,36 @@ import pytest
 pytest.importorskip("rclpy", reason="an environment with ROS runs these (.ci/run makes one)")
 
 import rclpy
+import yaml
+from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import UInt64
 
+from authguard_r.client.link import Log
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.ros.nodes.actuator import Actuator
+from authguard_r.ros.nodes.deadman import FORGET_MS, REST_MS, Canceler, Deadman
 from authguard_r.ros.nodes.heartbeat import (
     DEADLINE_MS,
     TURN_MS,
     Heartbeat,
     LoopWatch,
+    Told,
     gate_heartbeat,
     listen,
 )
-from ros_stopping import PATIENCE_S, clean_shared
+from authguard_r.ros.latch import MS
+from authguard_r.ros.map import parse_map
+from ros_stopping import PATIENCE_S, clean_shared, map_of
 
 # what rclpy imports to read its types imports a module that Python has renamed
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
 
 TOPIC = "/authguard/heartbeat"
+MAP = parse_map(yaml.safe_dump(map_of(1)), where="map")
 _DOMAINS = itertools.count(1 + os.getpid() % 90)
 
 
@@ -148,6 +156,64 @@ def test_a_loop_that_was_closed_before_it_was_asked_does_not_turn() -> None:
     watch = LoopWatch(loop)
     assert not watch()
     assert not watch()
+
+
+def test_another_number_is_another_life_though_nobody_was_silent(
+    node: Node, spin: Callable[[Callable[[], bool]], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    life = UInt64(data=1)
+    Heartbeat(node, TOPIC, UInt64, lambda: life, still_alive=lambda: True, lapsed=unused)
+    Deadman(node, MAP, told=Told(events=False))
+    said: list[str] = []
+
+    def says(words: str) -> bool:
+        said.append(capfd.readouterr().err)
+        return words in "".join(said)
+
+    spin(lambda: says('"armed"'))
+    life.data = 2
+    spin(lambda: says('"why": "another_publisher"'))
+
+
+def test_what_a_server_never_answers_is_forgotten(
+    node: Node, spin: Callable[[Callable[[], bool]], None]
+) -> None:
+    asked = Canceler(node, "/stuck", Log())
+    stuck = node.create_client(CancelGoal, "/stuck/_action/cancel_goal")
+    other = bare_node(node.context)  # nobody spins it
+    other.create_service(CancelGoal, "/stuck/_action/cancel_goal", lambda _, answer: answer)
+    spin(stuck.service_is_ready)
+    asked.lose(0)
+    for now_ms in range(0, 60_000, 20):
+        asked.look(now_ms * MS, is_lost=True)
+        assert len(asked._asked) <= 2 + FORGET_MS // REST_MS
+    assert asked._asked
+    other.destroy_node()
+
+
+def test_an_answer_to_a_question_from_before_the_loss_settles_nothing(
+    node: Node, spin: Callable[[Callable[[], bool]], None]
+) -> None:
+    heard: list[CancelGoal.Request] = []
+
+    def answer(request: CancelGoal.Request, empty: CancelGoal.Response) -> CancelGoal.Response:
+        heard.append(request)
+        return empty
+
+    asked = Canceler(node, "/count", Log())
+    node.create_service(CancelGoal, "/count/_action/cancel_goal", answer)
+    spin(asked._is_there)
+    asked.lose(0)
+    asked.look(1, is_lost=True)
+    asked.lose(2)  # a gate that died anew before it was answered
+    spin(lambda: not asked._asked)
+    assert len(heard) == 1
+    asked.look(3, is_lost=False)
+    spin(lambda: not asked._asked)
+    assert len(heard) == 2
+    asked.look(10**12, is_lost=False)  # that one settled it
+    assert not asked._asked
+    assert {bytes(request.goal_info.goal_id.uuid) for request in heard} == {bytes(16)}
 
 
 @pytest.mark.parametrize("name", ["authguard/heartbeat", "~/heartbeat", TOPIC])

@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self
 
 from geometry_msgs.msg import Twist
 from rclpy.node import Node
@@ -87,12 +86,6 @@ class Actuator:
         self._watching.join()
         self._node.destroy_subscription(self._subscription)
         self._lost(Why.CLOSED)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _heard(self, velocity: Twist, who: bytes) -> None:
         values = _values(velocity)
