@@ -6,6 +6,7 @@ Real processes on a yard made for it: a lane of twenty meters and a street beyon
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -16,9 +17,10 @@ from typing import Any
 import pytest
 
 from authguard_r.assembly import demo_members
-from authguard_r.client import GateClient
+from authguard_r.client import AsyncGateClient, GateClient
+from authguard_r.client.steering import Steering
 from authguard_r.core.errors import RefusedError
-from authguard_r.core.identifiers import RobotId
+from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.keys.setup import init_folder
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import ClientRole
@@ -249,3 +251,24 @@ def test_a_stopped_stream_takes_no_more_samples(gate: RunningGate) -> None:
     with pytest.raises(RefusedError):
         stream.sample(600)
     stands(gate)
+
+
+def test_a_client_of_an_event_loop_steers_what_it_proposed(gate: RunningGate) -> None:
+    async def drive() -> dict[str, Any]:
+        connected = AsyncGateClient.connect(gate.socket, role=ClientRole.PLANNER, client="async")
+        async with await connected as client:
+            ticket: asyncio.Future[Digest] = asyncio.get_running_loop().create_future()
+
+            def told(step: dict[str, Any]) -> None:
+                if "ticket" in step and not ticket.done():
+                    ticket.set_result(step["ticket"])
+
+            ended = asyncio.ensure_future(client.propose(DRIVE, on_step=told))
+            stream = Steering(client, await ticket)
+            zeros = {"lateral_mm_s": 0, "turn_urad_s": 0}
+            assert await stream.sample({"linear_mm_s": 300, **zeros})
+            assert not await stream.sample({"linear_mm_s": 1_001, **zeros})
+            await stream.close()
+            return await ended
+
+    assert asyncio.run(drive())["steps"][0]["execution"]["outcome"] == "succeeded"

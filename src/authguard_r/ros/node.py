@@ -128,6 +128,7 @@ class Mediator:
             group=self._group,
             changed=self._look,
             astray=self.body.astray,
+            is_alive=self.body.is_alive,
         )
         for key, item in self._place.ros.mediated.items():
             self.body.outlets[key] = self._outlet(robot, key, item)
