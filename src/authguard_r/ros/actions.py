@@ -24,7 +24,7 @@ from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.loop import Spinner
 from authguard_r.ros.map import Mediated
-from authguard_r.ros.proposals import Proposals
+from authguard_r.ros.proposals import Proposals, code_of
 from authguard_r.ros.releases import Release
 from authguard_r.ros.values import plain_of, texts_of
 from authguard_r.tools.planner import Asked, LostError
@@ -159,17 +159,19 @@ class ActionInlet:
 
     async def _run(self, going: _Going) -> None:
         """Propose a goal, and see it through to its end."""
-        is_noted, feeding = False, self._spinner.begin(self._feed(going))
+        feeding = self._spinner.begin(self._feed(going))
         try:
-            asked = await self._propose(going)
-            is_noted = asked is not None and bool(asked.results)
-            if asked is not None and asked.execution is None:
-                self._public.log.say("refused", self._key, reasons=", ".join(asked.step["reasons"]))
+            try:
+                asked = await self._propose(going)
+            finally:
+                going.answer(is_taken=False)
+            if going.taken.result():
+                is_noted = asked is not None and bool(asked.results)
+                await self._finish(going, feeding, is_noted=is_noted)
+            elif asked is not None:
+                self._public.log.say("refused", self._key, reason=code_of(asked))
         finally:
-            going.answer(is_taken=False)
-        if going.taken.result():
-            await self._finish(going, feeding, is_noted=is_noted)
-        feeding.cancel()
+            feeding.cancel()
 
     async def _propose(self, going: _Going) -> Asked | None:
         """Return what became of a proposal; None: nobody knows, or nothing was decided."""

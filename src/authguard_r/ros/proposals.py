@@ -111,3 +111,10 @@ class Proposals:
         """Let go of the gate for good."""
         for planner in (*self._planners, self._notes):
             await planner.close()
+
+
+def code_of(asked: Asked) -> str:
+    """Return the deciding code of what did not succeed; empty of what did."""
+    execution = asked.step["execution"]
+    codes = asked.step["reasons"] if asked.execution is None else execution["reasons"]
+    return str(codes[0]) if codes else ""
