@@ -35,6 +35,8 @@ RESULT_S = 2
 BIND_S = 2.0
 #: An action whose gate is lost is stopped by its controller; its end is waited for so long.
 _LOST_S = 10.0
+#: Texts of one goal's feedback that are not noted again.
+_MOST_NOTED = 1_000
 
 
 class Public(Struct, frozen=True, kw_only=True):
@@ -200,6 +202,8 @@ class ActionInlet:
         while True:
             feedback = await release.feedback.get()
             try:
+                if len(noted) > _MOST_NOTED:
+                    noted.clear()
                 texts = [text for text in texts_of(feedback) if text not in noted]
                 await self._public.proposals.note(texts)
                 noted.update(texts)
