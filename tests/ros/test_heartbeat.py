@@ -28,6 +28,8 @@ from std_msgs.msg import UInt64
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import EnvironmentFault
+from authguard_r.ros.latch import MS
+from authguard_r.ros.map import parse_map
 from authguard_r.ros.nodes.actuator import Actuator
 from authguard_r.ros.nodes.deadman import FORGET_MS, REST_MS, Canceler, Deadman
 from authguard_r.ros.nodes.heartbeat import (
@@ -39,8 +41,6 @@ from authguard_r.ros.nodes.heartbeat import (
     gate_heartbeat,
     listen,
 )
-from authguard_r.ros.latch import MS
-from authguard_r.ros.map import parse_map
 from ros_stopping import PATIENCE_S, clean_shared, map_of
 
 # what rclpy imports to read its types imports a module that Python has renamed

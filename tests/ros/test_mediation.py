@@ -74,6 +74,7 @@ def hospital(folder: Path) -> Iterator[RunningGate]:
         grants=GRANTS,
         profile=BRAKES,
         changes={"budgets": BUDGETS},
+        fold_ms=0,
     ) as made:
         yield made
 
@@ -285,6 +286,21 @@ def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate
     until(lambda: stick.sent > 20, "more velocities")
     assert set(base.speeds) == {0.0}
     assert len([r for r in gate.news() if r.kind == "decision"]) == 1  # not fifty a second
+
+
+@pytest.mark.parametrize("place", ["linear.z", "angular.x", "angular.y"])
+def test_l16_a_velocity_along_an_axis_that_nobody_granted_never_begins(
+    graph: Graph, gate: RunningGate, place: str
+) -> None:
+    base = graph.robot.base
+    graph.start()
+    stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+    message, (part, axis) = twist(0.1), place.split(".")
+    setattr(getattr(message, part), axis, 0.1)
+    stick.message = message
+    until(lambda: gate.refusals("MALFORMED"), "the refusal")
+    until(lambda: stick.sent > 20, "more velocities")
+    assert set(base.speeds) == {0.0}
 
 
 def test_a_loop_that_is_stuck_says_zero_once_and_then_nothing(

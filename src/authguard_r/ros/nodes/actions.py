@@ -24,7 +24,7 @@ from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.loop import Spinner
-from authguard_r.ros.nodes.proposals import Proposals
+from authguard_r.ros.nodes.proposals import Proposals, code_of
 from authguard_r.ros.nodes.releases import Release
 from authguard_r.ros.nodes.values import plain_of, texts_of
 from authguard_r.tools.planner import Asked, LostError
@@ -35,6 +35,8 @@ RESULT_S = 2
 BIND_S = 2.0
 #: An action whose gate is lost is stopped by its controller; its end is waited for so long.
 _LOST_S = 10.0
+#: Texts of one goal's feedback that are not noted again.
+_MOST_NOTED = 1_000
 
 
 class Public(Struct, frozen=True, kw_only=True):
@@ -159,17 +161,19 @@ class ActionInlet:
 
     async def _run(self, going: _Going) -> None:
         """Propose a goal, and see it through to its end."""
-        is_noted, feeding = False, self._spinner.begin(self._feed(going))
+        feeding = self._spinner.begin(self._feed(going))
         try:
-            asked = await self._propose(going)
-            is_noted = asked is not None and bool(asked.results)
-            if asked is not None and asked.execution is None:
-                self._public.log.say("refused", self._key, reasons=", ".join(asked.step["reasons"]))
+            try:
+                asked = await self._propose(going)
+            finally:
+                going.answer(is_taken=False)
+            if going.taken.result():
+                is_noted = asked is not None and bool(asked.results)
+                await self._finish(going, feeding, is_noted=is_noted)
+            elif asked is not None:
+                self._public.log.say("refused", self._key, reason=code_of(asked))
         finally:
-            going.answer(is_taken=False)
-        if going.taken.result():
-            await self._finish(going, feeding, is_noted=is_noted)
-        feeding.cancel()
+            feeding.cancel()
 
     async def _propose(self, going: _Going) -> Asked | None:
         """Return what became of a proposal; None: nobody knows, or nothing was decided."""
@@ -198,6 +202,8 @@ class ActionInlet:
         while True:
             feedback = await release.feedback.get()
             try:
+                if len(noted) > _MOST_NOTED:
+                    noted.clear()
                 texts = [text for text in texts_of(feedback) if text not in noted]
                 await self._public.proposals.note(texts)
                 noted.update(texts)

@@ -16,7 +16,7 @@ from contextlib import suppress
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import Log, mono_ms
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, ParameterId, RobotId
@@ -35,6 +35,8 @@ from authguard_r.site.model import Site
 
 #: Between two tries to stop the robot, in seconds.
 AGAIN_S = 0.5
+#: The ends look at their body every 10 ms; without a look for so long they are not alive.
+ALIVE_MS = 80
 
 
 class Means(Struct, frozen=True, kw_only=True):
@@ -79,6 +81,7 @@ class RosBody:
         self._release: Release | None = None
         self._action: Action | None = None  # of a stream that runs
         self._stopping: asyncio.Task[None] | None = None
+        self._seen_ms = mono_ms()
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -165,8 +168,13 @@ class RosBody:
 
     def pass_time(self, ms: int) -> None:  # noqa: ARG002 - the clock says it
         """Look at the clock."""
+        self._seen_ms = mono_ms()
         for outlet in self.outlets.values():
             outlet.pass_time()
+
+    def is_alive(self) -> bool:
+        """Return True while the ends look after their body; any thread may ask."""
+        return mono_ms() - self._seen_ms < ALIVE_MS
 
     def astray(self) -> None:
         """Stop a robot of which nobody knows what it does."""

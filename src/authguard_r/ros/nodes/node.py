@@ -42,7 +42,7 @@ from authguard_r.ros.names import Part
 from authguard_r.ros.nodes.actions import ActionInlet, Public
 from authguard_r.ros.nodes.body import Means, RosBody
 from authguard_r.ros.nodes.goals import ActionOutlet
-from authguard_r.ros.nodes.heartbeat import LoopWatch, gate_heartbeat
+from authguard_r.ros.nodes.heartbeat import gate_heartbeat
 from authguard_r.ros.nodes.loop import Spinner
 from authguard_r.ros.nodes.outlets import MessageOutlet, Outlet, Robot, ServiceOutlet
 from authguard_r.ros.nodes.process import DEMO
@@ -132,14 +132,14 @@ class Mediator:
             group=self._group,
             changed=self._look,
             astray=self.body.astray,
+            is_alive=self.body.is_alive,
         )
         for key, item in self._place.ros.mediated.items():
             self.body.outlets[key] = self._outlet(robot, key, item)
-        loop = self._spinner.loop
         gate_heartbeat(
             self._spinner.node,
             self._place.ros.heartbeat,
-            still_alive=LoopWatch(loop),
+            still_alive=self.body.is_alive,
             lapsed=lambda: self._spinner.soon(self.body.brake),
             group=self._group,
         )

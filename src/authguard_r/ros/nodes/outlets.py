@@ -36,12 +36,14 @@ class Robot(Struct, frozen=True, kw_only=True):
         group: every callback of the node's.
         changed: called when something ended.
         astray: called when nobody knows any more what the robot does: it has to be stopped.
+        is_alive: says whether the gate's ends look after their body; from any thread.
     """
 
     spinner: Spinner
     group: ReentrantCallbackGroup
     changed: Callable[[], None]
     astray: Callable[[], None]
+    is_alive: Callable[[], bool]
 
 
 class Order(Struct, frozen=True, kw_only=True):

@@ -8,6 +8,7 @@ one was shown, all of them have seen. Spec page: docs/spec/ros.md#ends
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 from authguard_r.client import AsyncGateClient
@@ -98,12 +99,16 @@ class Proposals:
         await self._notes.note(texts)
 
     async def unreadable(self, tool: str, error: AuthGuardError) -> None:
-        """Hand in that a message was none that can be read: the gate refuses it, and logs that."""
+        """Hand in that a message was none that can be read: the gate refuses it, and logs that.
+
+        Nothing comes of it whatever the gate answers, and where it is away, too.
+        """
         if self._unreadable >= _MOST_UNREADABLE:
             return
         self._unreadable += 1
         try:
-            await self._notes.unreadable(tool, str(error))
+            with suppress(AuthGuardError):
+                await self._notes.unreadable(tool, str(error))
         finally:
             self._unreadable -= 1
 
@@ -111,3 +116,10 @@ class Proposals:
         """Let go of the gate for good."""
         for planner in (*self._planners, self._notes):
             await planner.close()
+
+
+def code_of(asked: Asked) -> str:
+    """Return the deciding code of what did not succeed; empty of what did."""
+    execution = asked.step["execution"]
+    codes = asked.step["reasons"] if asked.execution is None else execution["reasons"]
+    return str(codes[0]) if codes else ""

@@ -16,6 +16,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.actions import Public
+from authguard_r.ros.nodes.proposals import code_of
 from authguard_r.ros.nodes.releases import Release
 from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.planner import Asked, LostError
@@ -125,10 +126,3 @@ async def propose(
     except AuthGuardError as error:
         return str(error.reason), None
     return code_of(asked), asked
-
-
-def code_of(asked: Asked) -> str:
-    """Return the deciding code of what did not succeed; empty of what did."""
-    execution = asked.step["execution"]
-    codes = asked.step["reasons"] if asked.execution is None else execution["reasons"]
-    return str(codes[0]) if codes else ""

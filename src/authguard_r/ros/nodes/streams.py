@@ -24,7 +24,7 @@ from authguard_r.normalize.dialects import Call, Dialect, read_reply
 from authguard_r.ros.calls import DURATION, FORMS, call_of
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.actions import Public
-from authguard_r.ros.nodes.services import code_of
+from authguard_r.ros.nodes.proposals import code_of
 from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.planner import LostError
 

@@ -17,8 +17,6 @@ from authguard_r.ros.nodes.heartbeat import PERIOD_MS, actuation_qos, steady
 from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot
 from authguard_r.site.model import Profile, stopping_mm
 
-#: The ends look at their body every 10 ms; without a look for so long they are not alive.
-ALIVE_MS = 80
 #: After its time a stream that was sampled is ended here, if the gate does not.
 _SLACK_MS = 500
 _LOOK_S = 0.01
@@ -44,7 +42,7 @@ class StreamOutlet:
         self._order: Order | None = None
         self._ends_ms = 0
         self._is_sampled = self._is_silent = False
-        self._stood_ms = self._seen_ms = mono_ms()
+        self._stood_ms = mono_ms()
         node = robot.spinner.node
         qos = actuation_qos()
         self._publisher = node.create_publisher(kind, name, qos, callback_group=robot.group)
@@ -105,7 +103,7 @@ class StreamOutlet:
 
     def pass_time(self) -> None:
         """Look at the clock: a stream that is over says zero, and ends once it stands."""
-        now = self._seen_ms = mono_ms()
+        now = mono_ms()
         order = self._order
         if order is None or not order.release.runs:
             return
@@ -121,7 +119,7 @@ class StreamOutlet:
 
         When the ends do not look any more, zero is the last word: silence stops what is left.
         """
-        if mono_ms() - self._seen_ms < ALIVE_MS:
+        if self._robot.is_alive():
             self._is_silent = False
             self._publisher.publish(self._message)
         elif not self._is_silent:
