@@ -274,24 +274,3 @@ def test_a_stopped_stream_takes_no_more_samples(gate: RunningGate) -> None:
     with pytest.raises(RefusedError):
         stream.sample(600)
     stands(gate)
-
-
-def test_a_client_of_an_event_loop_steers_what_it_proposed(gate: RunningGate) -> None:
-    async def drive() -> dict[str, Any]:
-        connected = AsyncGateClient.connect(gate.socket, role=ClientRole.PLANNER, client="async")
-        async with await connected as client:
-            ticket: asyncio.Future[Digest] = asyncio.get_running_loop().create_future()
-
-            def told(step: dict[str, Any]) -> None:
-                if "ticket" in step and not ticket.done():
-                    ticket.set_result(step["ticket"])
-
-            ended = asyncio.ensure_future(client.propose(DRIVE, on_step=told))
-            stream = Steering(client, await ticket)
-            zeros = {"lateral_mm_s": 0, "turn_urad_s": 0}
-            assert await stream.sample({"linear_mm_s": 300, **zeros})
-            assert not await stream.sample({"linear_mm_s": 1_001, **zeros})
-            await stream.close()
-            return await ended
-
-    assert asyncio.run(drive())["steps"][0]["execution"]["outcome"] == "succeeded"
