@@ -31,6 +31,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.envelope import MAX_FILE, is_sealed, read_envelope, seal, unseal
 from authguard_r.keys.signer import open_key_file, read_keys, read_signer
+from gates import environment
 from unit.keys import chains
 from unit.keys.chains import house
 
@@ -263,7 +264,8 @@ sys.stdout.buffer.write(unseal(sealed, said, where="my.key.pem"))
 
 def test_too_little_memory_is_said() -> None:
     words = [sys.executable, "-c", SCARCE, SAID]
-    done = subprocess.run(words, input=SEALED, capture_output=True, check=True)
+    env = environment(measured=True)
+    done = subprocess.run(words, input=SEALED, capture_output=True, check=True, env=env)
     assert b"64 MiB" in done.stderr
     assert SAID.encode() not in done.stderr
     assert done.stdout == PEM
