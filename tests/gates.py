@@ -139,6 +139,8 @@ class RunningGate:
         self._seen = 0
         #: where a test's own estimator says that the robot is
         self.move: Callable[[str], None] | None = None
+        #: the mission that `robots.gate_of` made active, and its digest
+        self.live: tuple[Mission, str] | None = None
         here = (Peer(uid=os.geteuid(), roles=EVERY),)
         fresh = default_config(rid, here if peers is None else peers, mode)
         self.configure(msgspec.structs.replace(fresh, **bounds))

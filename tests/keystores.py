@@ -10,9 +10,18 @@ from typing import Any
 
 import yaml
 from cryptography import x509
-from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives import hashes, serialization
 
-from authguard_r.ros.keystore import ENCLAVES, PERMISSIONS, PRIVATE, PUBLIC, Authority
+from authguard_r.ros.keystore import (
+    CERTIFICATE,
+    ENCLAVES,
+    IDENTITY,
+    PERMISSIONS,
+    PRIVATE,
+    PUBLIC,
+    Authority,
+    pem,
+)
 from authguard_r.ros.map import RosMap, parse_map
 from authguard_r.ros.signed import sign_text
 from worlds import ROOT
@@ -40,11 +49,34 @@ def example() -> RosMap:
 
 def permissions_authority(keystore: Path) -> Authority:
     """Return the authority that signs a keystore's documents."""
+    return authority(keystore, PERMISSIONS)
+
+
+def authority(keystore: Path, name: str) -> Authority:
+    """Return an authority of a keystore."""
     key: Any = serialization.load_pem_private_key(
-        (keystore / PRIVATE / f"{PERMISSIONS}.key.pem").read_bytes(), None
+        (keystore / PRIVATE / f"{name}.key.pem").read_bytes(), None
     )
-    certificate = (keystore / PUBLIC / f"{PERMISSIONS}.cert.pem").read_bytes()
+    certificate = (keystore / PUBLIC / f"{name}.cert.pem").read_bytes()
     return Authority(x509.load_pem_x509_certificate(certificate), key)
+
+
+def certify(keystore: Path, enclave: str, *extensions: x509.ExtensionType) -> None:
+    """Let the identity authority certify an enclave anew, with nothing but these extensions."""
+    path, by = home(keystore, enclave) / CERTIFICATE, authority(keystore, IDENTITY)
+    was = x509.load_pem_x509_certificate(path.read_bytes())
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(was.subject)
+        .issuer_name(was.issuer)
+        .public_key(was.public_key())
+        .serial_number(was.serial_number)
+        .not_valid_before(was.not_valid_before_utc)
+        .not_valid_after(was.not_valid_after_utc)
+    )
+    for extension in extensions:
+        made = made.add_extension(extension, critical=False)
+    path.write_bytes(pem(made.sign(by.key, hashes.SHA256())))
 
 
 def home(keystore: Path, enclave: str) -> Path:

@@ -83,9 +83,10 @@ class Actor:
     Args:
         words: what it is started with.
         python: of an environment with rclpy.
+        unread: nobody reads its standard error, as when a log's shipper died.
     """
 
-    def __init__(self, words: list[str], python: str) -> None:
+    def __init__(self, words: list[str], python: str, *, unread: bool = False) -> None:
         # an environment's variables are not another's
         env = {name: value for name, value in os.environ.items() if "ROS_WHEELS" not in name}
         env |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(SOURCE)}
@@ -99,12 +100,15 @@ class Actor:
             stderr=subprocess.PIPE,
             text=True,
         )
+        if unread:
+            assert self.process.stderr is not None
+            self.process.stderr.close()
         self.lines: list[Line] = []
         self.errors: list[str] = []
         self._news = threading.Condition()
         self._readers = [
             threading.Thread(target=self._read, daemon=True),
-            threading.Thread(target=self._read_errors, daemon=True),
+            *([] if unread else [threading.Thread(target=self._read_errors, daemon=True)]),
         ]
         for reader in self._readers:
             reader.start()
@@ -236,13 +240,13 @@ class Robot:
         """Start a process of `ros_actors`."""
         return self._start([str(ACTORS), role, str(self.map), *words])
 
-    def run(self, module: str, *words: str, waits: bool = True) -> Actor:
+    def run(self, module: str, *words: str, waits: bool = True, unread: bool = False) -> Actor:
         """Start a module of the package's as its own process."""
         command = ["-m", f"authguard_r.ros.nodes.{module}", str(self.map), *words, "--demo"]
-        return self._start(command, waits=waits)
+        return self._start(command, waits=waits, unread=unread)
 
-    def _start(self, words: list[str], *, waits: bool = True) -> Actor:
-        actor = Actor(words, self._python)
+    def _start(self, words: list[str], *, waits: bool = True, unread: bool = False) -> Actor:
+        actor = Actor(words, self._python, unread=unread)
         self._actors.append(actor)
         if waits:
             actor.event("ready")

@@ -64,6 +64,7 @@ _NAMED: dict[str, Any] = {
     "nonce": "A" * 22,
     "proof": "a token",
     "site": _TICKET,
+    "binding": _TICKET,
     "key": "vector-1",
     "plan": "c2NhbigpCg==",
     "token": "e30=",

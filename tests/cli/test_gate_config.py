@@ -209,3 +209,36 @@ def test_witnesses_are_written_shown_and_signed(shell: Shell) -> None:
     Path("gate.yaml").write_text(changed.replace("quorum: 1", "quorum: 2"))
     code, out = shell(*signing())
     assert (code, "gate.yaml.quorum" in out) == (4, True)
+
+
+def test_a_node_or_gateway_is_named_as_what_it_is(shell: Shell) -> None:
+    """Its user is planner and controller, and no planner runs as it: nothing is unsafe."""
+    code, made = shell.json(*MAKE, "--mediator", "70001")
+    assert code == 0
+    assert "SHARED_USER" not in {item["code"] for item in made["advice"]}
+    code, signed = shell.json(*signing())
+    assert code == 0
+    assert signed["config"]["peers"] == [
+        {"uid": 70001, "roles": ["auditor", "controller", "planner"], "mediates": True}
+    ]
+    code, text = shell("gate-config", "show", "gate.token", "--trust", "trust")
+    assert "mediates: no planner runs as this user" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--mediator", "70001", "--peer", "70001:planner"), 2),
+        (("--mediator", "70001", "--mediator", "70001"), 2),
+        (("--mediator", "nobody-of-that-name"), 2),
+    ],
+)
+def test_a_mediator_that_is_none_is_refused(
+    shell: Shell, words: tuple[str, ...], code: int
+) -> None:
+    assert shell(*MAKE, *words)[0] == code
+
+
+def test_a_mediator_has_to_be_among_the_users(shell: Shell) -> None:
+    Path("gate.yaml").write_text("robot: courier-1\npeers: {1: [planner]}\nmediators: [2]\n")
+    assert shell(*signing())[0] == 4

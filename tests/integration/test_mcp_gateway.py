@@ -27,10 +27,10 @@ from typing import Any
 import httpx2
 import mcp_types as types
 import pytest
+import yaml
 from mcp import Client, MCPError, StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types.methods import SERVER_NOTIFICATIONS, SERVER_REQUESTS, SPEC_CLIENT_METHODS
-from msgspec.structs import replace
 
 import courier_server
 import worlds
@@ -42,7 +42,7 @@ from authguard_r.core.errors import ControllerError, EnvironmentFault
 from authguard_r.keys.trust import read_trust
 from authguard_r.mcp import front as fronts
 from authguard_r.mcp import upstream as upstreams
-from authguard_r.mcp.front import answered, fate
+from authguard_r.mcp.front import Front, answered, fate
 from authguard_r.mcp.pins import pins_bytes, pins_of, read_pins
 from authguard_r.mcp.process import Gateway, Setup, over_stdio, serve
 from authguard_r.mcp.upstream import Upstream, listed
@@ -104,7 +104,6 @@ class House:
         self.gate, self.where, self.folder = gate, where, folder
         self.calls_file = folder / "calls.jsonl"
         self.calls_file.touch()
-        self.demand: dict[str, Any] = {}
         self.unasked: list[dict[str, Any]] = []
 
     def calls(self) -> list[dict[str, Any]]:
@@ -145,16 +144,13 @@ class House:
             robot=gate.rid,
             run=gate.run,
             site=site,
-            binding=self.binding(site),
             trust=lambda: read_trust(gate.trust),
-            **{"server": server, **more},
+            **{"server": server, "binding": self.binding(site), **more},
         )
 
     def binding(self, site: Site) -> Binding:
-        """Return the gate's binding, with what a scan's answer has to say."""
-        found = load_binding(binding_source(str(self.gate.binding)), site=site, where="binding")
-        scan = replace(found.tools["scan"], succeeds=self.demand)
-        return replace(found, tools={**found.tools, "scan": scan})
+        """Return the gate's binding."""
+        return load_binding(binding_source(str(self.gate.binding)), site=site, where="binding")
 
     def raw(
         self, requests: list[tuple[str, dict[str, Any]]], *server: str, errors: Any = None
@@ -607,18 +603,52 @@ def test_what_is_no_text_passes_and_every_word_in_it_is_noted(house: House) -> N
     assert "station-102" in json.dumps(record.sealed["influences"])
 
 
-def test_an_answer_has_to_say_what_the_binding_demands(house: House, tmp_path: Path) -> None:
+def demanding(folder: Path, demand: dict[str, Any]) -> Path:
+    """Return the courier's binding, with what a scan's answer has to say."""
+    plain = yaml.safe_load((worlds.HOSPITAL / "binding.yaml").read_text())
+    plain["tools"]["scan"]["succeeds"] = demand
+    path = folder / "binding.yaml"
+    path.write_text(yaml.safe_dump(plain))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("demand", "faults", "execution"),
+    [
+        ({"success": True}, ("says-no",), "failed"),
+        ({"success.deeper": True}, (), "failed"),
+        ({"success": True}, (), "succeeded"),
+    ],
+)
+def test_an_answer_has_to_say_what_the_binding_demands(
+    tmp_path: Path, demand: dict[str, Any], faults: tuple[str, ...], execution: str
+) -> None:
     """No error, and yet not done: a server that says `success: false` has failed."""
-    house.demand = {"success": True}
-    (answer,) = house.ask(("scan", {}), faults=("says-no",))
-    assert answer.is_error
-    assert verdict(answer)["execution"] == "failed"
-    house.demand = {"success.deeper": True}
-    (answer,) = house.ask(("scan", {}))
-    assert verdict(answer)["execution"] == "failed"
-    house.demand = {"success": True}
-    (answer,) = house.ask(("scan", {}))
-    assert verdict(answer)["execution"] == "succeeded"
+    with RunningGate(binding=demanding(tmp_path, demand)) as gate, attesting(gate) as where:
+        gate.activate()
+        house = House(gate, where, tmp_path)
+        (answer,) = house.ask(("scan", {}), faults=faults)
+    assert answer.is_error is (execution == "failed")
+    assert verdict(answer)["execution"] == execution
+
+
+def test_a_gateway_whose_words_are_not_the_gates_calls_nothing(
+    house: House, tmp_path: Path
+) -> None:
+    """What the gate releases would be called as something that nobody decided."""
+    site = read_site(house.gate.site)
+    path = demanding(tmp_path, {"success": True})
+    other = load_binding(binding_source(str(path)), site=site, where="other")
+    house.calls_file.write_text("")
+
+    async def talk() -> None:
+        async with house.talking(binding=other, within_s=1.5):
+            raise AssertionError("it began")
+
+    with pytest.raises(ExceptionGroup) as failed:
+        run(talk)
+    assert isinstance(first_of(failed.value), EnvironmentFault)
+    assert not [call for call in house.calls() if call["tool"] == "scan"]
 
 
 def test_a_fault_of_the_servers_own_is_an_error_of_its_tool(house: House) -> None:
@@ -667,6 +697,17 @@ def test_what_kept_a_gateway_from_starting_is_one_error(house: House, tmp_path: 
     assert "Traceback" not in out
     with pytest.raises(EnvironmentFault, match="did not come"):
         asyncio.run(serve(house.setup(server=("/nowhere",), within_s=0.5), over_stdio))
+
+
+def test_what_a_front_raises_is_raised_as_it_is(house: House) -> None:
+    """What is no error of ours is not made one."""
+
+    async def fail(_: Front) -> None:
+        raise LookupError("the front broke")
+
+    with pytest.raises(ExceptionGroup) as failed:
+        asyncio.run(serve(house.setup(), fail))
+    assert isinstance(first_of(failed.value), LookupError)
 
 
 def test_a_server_is_reached_over_http_too(house: House) -> None:
@@ -804,7 +845,8 @@ def test_without_its_server_a_body_begins_nothing_and_stands(house: House) -> No
         with pytest.raises(CallError):
             await upstream.call("scan", {}, 1.0)
         body.brake()
-        body.steer({})
+        body.steer(worlds.TICKET, {})
+        body.close(worlds.TICKET)
         body.pass_time(5)
         assert body.stands
         assert not body.streams(worlds.navigate("dock", "pharmacy"))

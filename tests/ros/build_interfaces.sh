@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Builds the interfaces that only tests have into an environment of ROS wheels: nav2_msgs is not on PyPI.
+# Builds our own interfaces, and those that only tests have, into an environment of ROS wheels: nav2_msgs
+# and tf2_msgs are not on PyPI.
 # Needs cmake, ninja and a C compiler. UV names the installer.
 #   tests/ros/build_interfaces.sh ENVIRONMENT
 set -euo pipefail
 environment=$(realpath "$1")
-sources=$(realpath "$(dirname "$0")/interfaces")
+here=$(realpath "$(dirname "$0")")
 python=$environment/bin/python
 "${UV:-uv}" pip install --quiet --python "$python" \
   ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros-core \
@@ -15,13 +16,13 @@ python=$environment/bin/python
 # the wheels' exports name folders of the machine that built them
 headers=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
 numpy=$("$python" -c 'import numpy; print(numpy.get_include())')
-grep -rlZ "/opt/python/cp3" --include="*.cmake" "$environment/share" | xargs -0 -r sed -i -E \
+{ grep -rlZ "/opt/python/cp3" --include="*.cmake" "$environment/share" || true; } | xargs -0 -r sed -i -E \
   "s#/opt/python/cp3[^;\"]*/include/python3[^;\"]*#$headers#g; s#/opt/python/cp3[^;\"]*/numpy/_core/include#$numpy#g"
 
 libraries=$(printf '%s:' "$environment"/lib/python3*/site-packages/ros_*.libs)
 export LD_LIBRARY_PATH="$environment/lib:$libraries"
 export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 AMENT_PREFIX_PATH="$environment" CMAKE_PREFIX_PATH="$environment"
-for package in "$sources"/*/; do
+for package in "$here"/interfaces/*/ "$here"/../../ros2/authguard_interfaces/; do
   build=$(mktemp -d)
   {
     cmake -S "$package" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF \

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
@@ -34,6 +36,7 @@ from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future as RosFuture
 from std_msgs.msg import UInt8
 from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
@@ -42,27 +45,17 @@ import worlds
 from authguard_r.client.link import Log
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import parse_map
-from authguard_r.ros.nodes.node import Place, mediating
+from authguard_r.ros.nodes.heartbeat import steady
+from authguard_r.ros.nodes.mediator import Place, mediating
 from authguard_r.site.source import read_site
 from authguard_r.tools.given import given_binding
 from gates import RunningGate, environment, until
+from ros.hospital import HERE
 
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 20.0
-HERE = Path(__file__).resolve().parent
+NODE = (sys.executable, "-m", "authguard_r.ros.nodes.node")
 _domains = itertools.count(1 + os.getpid() % 90)
-
-
-#: A mission of many short actions.
-BUDGETS = {
-    "actions": 10_000,
-    "rate": {"count": 10_000, "per": "10 s"},
-    "motion": "20 min",
-    "waiting": "0 s",
-    "recorded_bytes": 0,
-    "prompts": 5,
-    "planner_stops": 30,
-}
 
 
 class Peer:
@@ -112,6 +105,8 @@ class Peer:
             return
         self._executor.shutdown()
         self._thread.join(5)
+        for action in tuple(self.node.waitables):  # the node would leave them there, and visible
+            action.destroy()
         self.node.destroy_node()
         self._context.try_shutdown()
 
@@ -128,6 +123,7 @@ class Arm:
     def __init__(self, peer: Peer, kind: Any, name: str) -> None:
         self.goals: list[Any] = []
         self.canceled: list[bool] = []
+        self.canceled_s = 0.0
         self.takes = True
         self.answers = threading.Event()  # whether it takes a goal
         self.answers.set()
@@ -135,7 +131,9 @@ class Arm:
         self.abort = False
         self.feedback: list[Any] = []
         self.result: Any = kind.Result()
-        self._kind = kind
+        #: what it says of a goal, and its result, where that depends on the goal
+        self.each: Callable[[Any], tuple[Any, Any]] | None = None
+        self._peer = peer
         ActionServer(
             peer.node,
             kind,
@@ -152,16 +150,31 @@ class Arm:
         self.answers.wait(PATIENCE_S)
         return GoalResponse.ACCEPT if self.takes else GoalResponse.REJECT
 
-    def _run(self, handle: Any) -> Any:
-        for feedback in self.feedback:
+    async def _run(self, handle: Any) -> Any:
+        feedbacks, result = self.feedback, self.result
+        if self.each is not None:
+            first, result = self.each(handle.request)
+            feedbacks = [first]
+        for feedback in feedbacks:
             handle.publish_feedback(feedback)
-        while not self.end.wait(0.005):
-            if handle.is_cancel_requested:
-                handle.canceled()
-                self.canceled.append(True)
-                return self.result
-        (handle.abort if self.abort else handle.succeed)()
-        return self.result
+        await self._until(lambda: self.end.is_set() or handle.is_cancel_requested)
+        if handle.is_cancel_requested and not self.end.is_set():
+            handle.canceled()
+            self.canceled_s = time.monotonic()
+            self.canceled.append(True)
+        else:
+            (handle.abort if self.abort else handle.succeed)()
+        return result
+
+    async def _until(self, holds: Callable[[], bool]) -> None:
+        """Wait without a thread: many goals run at once."""
+        over: Any = RosFuture()
+        timer = self._peer.node.create_timer(
+            0.005, lambda: holds() and over.set_result(None), self._peer.group, steady()
+        )
+        await over
+        timer.cancel()
+        self._peer.node.destroy_timer(timer)
 
 
 class Base:
@@ -175,12 +188,17 @@ class Base:
 
     def __init__(self, peer: Peer, kind: Any, name: str) -> None:
         self.told: list[Any] = []
-        self.last_s = 0.0
+        self.at_s: list[float] = []
         peer.node.create_subscription(kind, name, self._hear, 10, callback_group=peer.group)
 
     def _hear(self, message: Any) -> None:
         self.told.append(message)
-        self.last_s = time.monotonic()
+        self.at_s.append(time.monotonic())
+
+    @property
+    def last_s(self) -> float:
+        """When it was told anything last, on the monotonic clock."""
+        return self.at_s[-1]
 
     @property
     def speeds(self) -> list[float]:
@@ -194,8 +212,10 @@ class Robot(Peer):
     def __init__(self, domain: int) -> None:
         super().__init__("robot", domain)
         self.arm = Arm(self, Fibonacci, "/fibonacci")
+        self.chimes = Arm(self, Fibonacci, "/chimes")
         self.base = Base(self, Twist, "/cmd_vel")
         self.calls: list[str] = []
+        self.says = "done"
         self.lamps: list[int] = []
         node, group = self.node, self.group
         for name in ("horn", "hold"):
@@ -210,7 +230,7 @@ class Robot(Peer):
 
     def _told(self, name: str, _: object, answer: Any) -> Any:
         self.calls.append(name)
-        answer.success, answer.message = True, f"{name} done"
+        answer.success, answer.message = True, f"{name} {self.says}"
         return answer
 
     def _called(self, name: str, _: object, answer: Any) -> Any:
@@ -262,11 +282,17 @@ class Goal:
         return self._peer.ask(self.handle.cancel_goal_async).result(PATIENCE_S)
 
 
+class Client(ActionClient):  # type: ignore[misc]
+    """A client that another thread may spin before it is whole: `rclpy` gives it its lock last."""
+
+    _lock = threading.Lock()
+
+
 class Planner(Peer):
     """Whoever asks."""
 
     def client(self, kind: Any, name: str) -> Any:
-        made = ActionClient(self.node, kind, name, callback_group=self.group)
+        made = Client(self.node, kind, name, callback_group=self.group)
         until(made.server_is_ready, name, seconds=PATIENCE_S)
         return made
 
@@ -275,8 +301,8 @@ class Planner(Peer):
         until(made.service_is_ready, name, seconds=PATIENCE_S)
         return self.ask(lambda: made.call_async(request))
 
-    def publisher(self, kind: Any, name: str) -> Any:
-        made = self.node.create_publisher(kind, name, 10, callback_group=self.group)
+    def publisher(self, kind: Any, name: str, depth: int = 10) -> Any:
+        made = self.node.create_publisher(kind, name, depth, callback_group=self.group)
         until(made.get_subscription_count, name, seconds=PATIENCE_S)
         return made
 
@@ -292,7 +318,8 @@ class Graph:
 
     def __init__(self, folder: Path, gate: RunningGate, domain: int) -> None:
         self.domain = domain
-        self._folder, self._gate = folder, gate
+        self.folder, self._gate = folder, gate
+        self.planners: list[Planner] = []
         self._peers: list[Peer] = []
         self._robots: list[subprocess.Popen[str]] = []
         self.process: subprocess.Popen[str] | None = None
@@ -304,26 +331,61 @@ class Graph:
 
     def planner(self, name: str = "planner") -> Planner:
         planner: Planner = self.add(Planner(name, self.domain))
+        self.planners.append(planner)
         return planner
 
-    def start(self, source: Path = HERE / "map.yaml") -> None:
-        """Start the node; the robot's own side has to be there."""
+    def start(
+        self,
+        source: Path = HERE / "map.yaml",
+        command: Sequence[str] = NODE,
+        *,
+        managed: bool = False,
+        **files: Path,
+    ) -> None:
+        """Start the node, and wait for it; the robot's own side has to be there.
+
+        Args:
+            source: its map, in the domain 1.
+            command: what starts it, without its words.
+            managed: it waits for whoever configures it.
+            files: by the node's own words, what is not the gate's.
+        """
+        more = ["--managed"] if managed else []
+        self.launch(*more, source=source, command=command, **files)
+        assert self.process is not None
+        assert self.process.stdout is not None
+        said = self.process.stdout.readline()
+        assert "ready" in said, self.said()
+        self.missing: list[str] = json.loads(said)["missing"]
+
+    def launch(
+        self,
+        *more: str,
+        source: Path = HERE / "map.yaml",
+        command: Sequence[str] = NODE,
+        **files: Path,
+    ) -> None:
+        """Start the node."""
         gate = self._gate
-        path = self._folder / "map.yaml"
+        path = self.folder / "map.yaml"
         path.write_text(self._map(source))
-        words = ["--map", path, "--run", gate.run, "--site", gate.site, "--trust", gate.trust]
-        words += ["--binding", gate.binding]
-        self._errors = (self._folder / "node.err").open("w")
+        given = {"map": path, "run": gate.run, "site": gate.site, "trust": gate.trust}
+        given |= {"binding": gate.binding, **files}
+        words = [str(word) for name, value in given.items() for word in (f"--{name}", value)]
+        self._errors = (self.folder / "node.err").open("w")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "authguard_r.ros.nodes.node", "--demo", *map(str, words)],
+            [*command, "--demo", *words, *more],
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
             env=environment(measured=True),
             cwd=worlds.ROOT,
         )
-        assert self.process.stdout is not None
-        assert "ready" in self.process.stdout.readline(), self.said()
+
+    def ended(self) -> int:
+        """Wait until the node ended by itself; return its exit code."""
+        assert self.process is not None
+        return self.process.wait(PATIENCE_S)
 
     @contextmanager
     def inside(self) -> Iterator[asyncio.AbstractEventLoop]:
@@ -376,6 +438,12 @@ class Graph:
         self.process.terminate()
         return self.process.wait(PATIENCE_S)
 
+    def signal(self, sign: signal.Signals) -> float:
+        """Send the node a signal; return when, on the monotonic clock."""
+        assert self.process is not None
+        self.process.send_signal(sign)
+        return time.monotonic()
+
     def kill(self) -> None:
         """Kill the node as a crash would."""
         assert self.process is not None
@@ -387,7 +455,7 @@ class Graph:
 
     def said(self) -> str:
         """Return what the node wrote to standard error."""
-        return (self._folder / "node.err").read_text()
+        return (self.folder / "node.err").read_text()
 
     def end(self) -> None:
         """End everything that was started."""
@@ -410,10 +478,15 @@ class Graph:
             peer.close()
 
 
+def next_domain() -> int:
+    """Return a domain that no test before had."""
+    return next(_domains) % 101 + 1
+
+
 @contextmanager
 def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
     """Yield a graph with a robot in it; print at its end what its node and the gate said."""
-    made = Graph(folder, gate, next(_domains) % 101 + 1)
+    made = Graph(folder, gate, next_domain())
     try:
         yield made
     finally:

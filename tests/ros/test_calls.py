@@ -8,15 +8,12 @@ from typing import Any
 
 import pytest
 import yaml
-from msgspec.structs import replace
 
-import worlds
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.identifiers import ParameterId
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.shipped import binding_source
-from authguard_r.ros.calls import at_rest, body_of, bound, call_of, item_of
+from authguard_r.ros.calls import body_of, bound, call_of, item_of
 from authguard_r.ros.map import RosMap, parse_map
 from authguard_r.site.model import Site
 from authguard_r.site.source import parse_site
@@ -59,7 +56,7 @@ def test_each_mediated_thing_is_found_again_in_its_own_call(site: Site, binding:
     ros = parse_map(MAP, where="map")
     spoken = bound(binding, ros, site)
     assert {name: len(ways) for name, ways in spoken.tools.items()} == {  # type: ignore[arg-type]
-        "send_action_goal": 1,
+        "send_action_goal": 2,
         "call_service": 4,
         "publish": 2,
     }
@@ -73,13 +70,6 @@ def test_a_message_without_a_field_has_no_body() -> None:
         assert body_of(item, call_of(item, plain).arguments) == plain
     with pytest.raises(MalformedError, match="something that the map mediates"):
         item_of(Call("publish", {"topic": "/other"}, "ros"), parse_map(MAP, where="map"))
-
-
-def test_at_rest_every_velocity_is_zero_and_the_time_is_kept() -> None:
-    action = worlds.navigate("dock", "pharmacy")
-    params = {ParameterId("linear_mm_s"): 300, ParameterId("duration_ms"): 500}
-    resting = at_rest(replace(action, params=params))
-    assert resting.params == {"linear_mm_s": 0, "duration_ms": 500}
 
 
 def test_l16_what_no_way_of_the_binding_means_is_not_mediated(site: Site, binding: Binding) -> None:

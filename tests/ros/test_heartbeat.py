@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-pytest.importorskip("rclpy", reason="an environment with ROS runs these (.ci/run makes one)")
+pytest.importorskip("rclpy", reason="an environment with ROS runs these (tests/ros/make.sh)")
 
 import rclpy
 import yaml

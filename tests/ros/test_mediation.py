@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from tempfile import mkdtemp
+from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2 (.ci/run makes an environment)")
+pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
 
-from action_msgs.msg import GoalStatus
+from action_msgs.msg import GoalInfo, GoalStatus
+from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from std_msgs.msg import UInt8
 from std_srvs.srv import Empty, Trigger
@@ -27,69 +26,7 @@ from test_msgs.action import Fibonacci
 from authguard_r.client import GateClient
 from authguard_r.wire.messages import ClientRole
 from gates import RunningGate, until
-from robots import gate_of
-from ros.graph import BUDGETS, HERE, Arm, Goal, Graph, Stick, graph_of
-
-IN_DOCK = {"source": "dock", "regions": ["dock"]}
-GRANTS = (
-    {
-        "id": "wave",
-        "type": "gesture",
-        "tool": "arm",
-        "rows": [IN_DOCK],
-        "limits": {"gesture_no": [1, 20]},
-        "max": "60 s",
-    },
-    {"id": "honk", "type": "announce", "tool": "speaker", "rows": [{}]},
-    {
-        "id": "shine",
-        "type": "lamp",
-        "tool": "lamps",
-        "rows": [{}],
-        "limits": {"lamp_no": [0, 5]},
-    },
-    {
-        "id": "creep",
-        "type": "drive",
-        "tool": "base",
-        "rows": [IN_DOCK],
-        "limits": {
-            "linear_mm_s": ["-0.3 m/s", "0.3 m/s"],
-            "lateral_mm_s": ["0 m/s", "0 m/s"],
-            "turn_urad_s": ["-1 rad/s", "1 rad/s"],
-            "duration_ms": ["1 s", "10 s"],
-        },
-    },
-)
-TOOLS = {"gesture": ["arm"], "lamp": ["lamps"], "drive": ["base"]}
-BRAKES = {"brake_mm_s2": 1000, "reaction_ms": 20}
-
-
-@contextmanager
-def hospital(folder: Path) -> Iterator[RunningGate]:
-    with gate_of(
-        folder,
-        HERE / "binding.yaml",
-        tools=TOOLS,
-        grants=GRANTS,
-        profile=BRAKES,
-        changes={"budgets": BUDGETS},
-        fold_ms=0,
-    ) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def gate() -> Iterator[RunningGate]:
-    with hospital(Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))) as made:
-        yield made
-
-
-@pytest.fixture
-def graph(tmp_path: Path, gate: RunningGate) -> Iterator[Graph]:
-    gate.mark()
-    with graph_of(tmp_path, gate) as made:
-        yield made
+from ros.graph import Arm, Goal, Graph, Peer, Stick, graph_of
 
 
 def test_an_allowed_goal_is_the_robots_own_from_its_answer_to_its_result(graph: Graph) -> None:
@@ -164,6 +101,16 @@ def test_a_goal_that_the_robot_aborts_is_aborted_with_its_result(
     said = goal.result()
     assert (said.status, said.result) == (GoalStatus.STATUS_ABORTED, arm.result)
     assert outcomes(gate) == ["failed"]
+
+
+def test_a_result_is_kept_for_a_bounded_time(graph: Graph) -> None:
+    """What ended is not held for ever for a planner that may never ask."""
+    arm = fibonacci(graph)
+    goal = asked(graph, 3)
+    assert goal.accepted
+    arm.end.set()
+    assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
+    until(lambda: goal.result().status == GoalStatus.STATUS_UNKNOWN, "its being forgotten")
 
 
 def test_a_second_goal_is_rejected_while_one_runs_and_taken_after_it(
@@ -277,6 +224,20 @@ def test_a_planner_of_velocities_that_falls_silent_stops_the_robot(
     until(lambda: outcomes(gate) == ["succeeded"], "the stream's end")
 
 
+def test_one_velocity_of_a_planner_that_then_dies_is_over_as_soon_as_any(graph: Graph) -> None:
+    """The first of a stream counts as a sample, and so does the silence after it."""
+    base = graph.robot.base
+    graph.start()
+    publisher = graph.planner().publisher(Twist, "/llm/cmd_vel")
+    until(lambda: base.told, "the base is heard by")
+    publisher.publish(twist(0.2))
+    until(lambda: 0.2 in base.speeds, "the velocity")
+    begun = time.monotonic()
+    until(lambda: base.speeds[-1] == 0.0, "zero")
+    # before the planner's silence closes the stream, after 0.5 s
+    assert time.monotonic() - begun < 0.45
+
+
 def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate) -> None:
     base = graph.robot.base
     graph.start()
@@ -335,13 +296,6 @@ def test_of_two_planners_of_velocities_one_steers(graph: Graph, gate: RunningGat
     assert set(base.speeds) == {0.0, 0.2, -0.2}
     one.message = None
     until(lambda: 0.1 in base.speeds, "the other's turn")
-
-
-@pytest.fixture
-def mortal(tmp_path: Path) -> Iterator[RunningGate]:
-    """A gate of a test's own, whose mission ends suspended."""
-    with hospital(Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))) as made:
-        yield made
 
 
 def test_a_node_that_was_killed_cancels_what_runs_before_it_serves_again(
@@ -427,3 +381,28 @@ def test_a_robot_that_is_gone_in_mid_goal_counts_as_standing_only_when_it_says_s
             until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
             graph.robot_process()
             until(lambda: lane.stop()["stopped"], "its word")
+
+
+def test_a_server_that_comes_or_comes_back_is_told_to_cancel_whatever_it_runs(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """Nobody knows what it was given while it was not seen: by a node of before, or by anybody."""
+    with graph_of(tmp_path, mortal) as graph:
+        graph.robot.close()
+        graph.start()
+        assert "arm" in graph.missing
+        asked: list[Any] = []
+
+        def cancels(request: Any, answer: Any) -> Any:
+            asked.append(request.goal_info)
+            return answer
+
+        for life in ("one", "another"):
+            robot = graph.add(Peer(life, graph.domain))
+            robot.node.create_service(
+                CancelGoal, "/fibonacci/_action/cancel_goal", cancels, callback_group=robot.group
+            )
+            until(lambda: asked, "the cancellation")
+            robot.close()
+            assert asked == [GoalInfo()] * len(asked)  # no goal and no time: every goal there is
+            asked.clear()

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2 (.ci/run makes an environment)")
+pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
 pytest.importorskip("nav2_msgs", reason="needs nav2_msgs (tests/ros/build_interfaces.sh)")
 
 from action_msgs.msg import GoalStatus
@@ -24,7 +24,8 @@ from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPo
 
 from gates import RunningGate, until
 from robots import gate_of
-from ros.graph import BUDGETS, HERE, Arm, Goal, Graph, Planner, graph_of
+from ros.graph import Arm, Goal, Graph, Planner, graph_of
+from ros.hospital import BUDGETS, HERE
 
 GO = {
     "id": "go",

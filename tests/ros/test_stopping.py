@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="an environment with ROS runs these (.ci/run makes one)")
+pytest.importorskip("rclpy", reason="an environment with ROS runs these (tests/ros/make.sh)")
 
 from ros_stopping import Driving, Robot, move
 
@@ -207,6 +207,18 @@ def test_a_dead_man_that_starts_without_a_heartbeat_cancels_what_runs(robot: Rob
     begun = time.monotonic_ns()
     robot.run("deadman")
     server.event("goal canceled", after=begun)
+
+
+def test_a_dead_man_whose_log_nobody_reads_cancels_all_the_same(robot: Robot) -> None:
+    """What kills a gate's node may take the reader of both their logs, too."""
+    server, gate = robot.start("server"), robot.start("gate")
+    deadman = robot.run("deadman", unread=True)
+    gate.tell("goal")
+    server.event("goal began")
+    gate.until_more(100)  # it is armed, or else cancels at its start
+    died = gate.send(signal.SIGKILL)
+    server.event("goal canceled", after=died)
+    assert deadman.process.poll() is None
 
 
 def test_a_goal_that_a_server_takes_after_the_death_is_canceled_too(robot: Robot) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2 (.ci/run makes an environment)")
+pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
 
 from geometry_msgs.msg import Point32, PoseStamped
 from hypothesis import given

@@ -20,6 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
 PROGRAM = "/opt/authguard-r/bin/authguard"
+#: ROS 2 has its own Python; so have the processes on it.
+ROS_PYTHON = "/opt/authguard-ros/bin/python"
+ON_ROS = ("gate", "deadman", "actuator", "estimator")
+#: Of them, who speaks to the gate.
+SPEAKS = {"gate", "estimator"}
 #: What every process is held by, whatever it is for.
 HARDENING = {
     "NoNewPrivileges": "yes",
@@ -45,6 +50,8 @@ HARDENING = {
 }
 #: A witness answers over TCP on its own machine; nothing else has a network.
 OVER_TCP = {"RestrictAddressFamilies": "AF_UNIX AF_INET AF_INET6"}
+#: DDS speaks UDP, and asks the kernel for the machine's addresses.
+OVER_DDS = {"RestrictAddressFamilies": "AF_UNIX AF_INET AF_INET6 AF_NETLINK"}
 ANALYZE = ("systemd-analyze", "security", "--offline=yes", "--threshold=15", "--no-pager")
 #: Becomes a process that can make no memory executable and gain no privilege, then runs a command.
 SHUT_IN = """
@@ -69,7 +76,7 @@ def settings(unit: Path) -> dict[str, list[str]]:
 
 
 def unit(name: str) -> dict[str, list[str]]:
-    (path,) = (DEPLOY / "systemd").glob(f"authguard-{name}*.service")
+    (path,) = (DEPLOY / "systemd").glob(f"authguard-{name}[@.]*service")
     return settings(path)
 
 
@@ -78,6 +85,10 @@ def test_the_units_are_there() -> None:
         "authguard-estimator@.service",
         "authguard-gate@.service",
         "authguard-robot@.service",
+        "authguard-ros-actuator@.service",
+        "authguard-ros-deadman@.service",
+        "authguard-ros-estimator@.service",
+        "authguard-ros-gate@.service",
         "authguard-stop-lane@.service",
         "authguard-witness.service",
     ]
@@ -86,7 +97,8 @@ def test_the_units_are_there() -> None:
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
 def test_every_process_is_shut_in_and_bounded(path: Path) -> None:
     found = settings(path)
-    expected = {**HARDENING, **(OVER_TCP if "witness" in path.name else {})}
+    network = OVER_TCP if "witness" in path.name else OVER_DDS if "-ros-" in path.name else {}
+    expected = {**HARDENING, **network}
     assert {name: found.get(name) for name in expected} == {n: [v] for n, v in expected.items()}
     assert found["SystemCallFilter"][0] == "@system-service"
     assert found["SystemCallFilter"][1].startswith("~@privileged")
@@ -152,7 +164,82 @@ def test_the_lane_outlives_the_gate_and_the_gates_lock_is_the_hosts() -> None:
     assert "PrivateNetwork" not in gate  # an abstract name counts within one network namespace
 
 
-@pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
+def ros_unit(name: str) -> dict[str, list[str]]:
+    return unit(f"ros-{name}")
+
+
+def test_each_process_on_ros_is_a_user_of_its_own_and_two_alone_reach_the_gate() -> None:
+    users = {name: ros_unit(name)["User"][0] for name in ON_ROS}
+    text = (DEPLOY / "sysusers.d" / "authguard-ros.conf").read_text(encoding="utf-8")
+    made = set(re.findall(r"^u (\S+)", text, re.MULTILINE))
+    estimator = unit("estimator")["User"][0]  # who attests is who he was
+    assert users["estimator"] == estimator
+    assert made | {estimator} == {*users.values()}
+    assert len({*users.values()}) == 4
+    robots = (DEPLOY / "sysusers.d" / "authguard-r.conf").read_text(encoding="utf-8")
+    assert not any(name in robots for name in made)
+    # by its group, and nobody else
+    assert re.findall(r"^m (\S+) +(\S+)$", text, re.MULTILINE) == [(users["gate"], "authguard")]
+    for name in ON_ROS:
+        found = ros_unit(name)
+        assert found["Group"] == found["User"]
+        assert found.get("SupplementaryGroups", []) == (["authguard"] if name in SPEAKS else [])
+        assert "-/etc/authguard-r/%i/gate" in found["InaccessiblePaths"]
+        assert "-/var/lib/authguard-r" in found["InaccessiblePaths"]
+        assert ("-/run/authguard-r" in found["InaccessiblePaths"]) == (name not in SPEAKS)
+        hidden = "-/etc/authguard-r/%i/estimator" in found["InaccessiblePaths"]
+        assert hidden == (name != "estimator")
+        assert found["IPAddressAllow"] == ["localhost"]
+
+
+def test_what_stops_a_robot_on_ros_outlives_the_gates_node() -> None:
+    for name in ON_ROS:
+        found = ros_unit(name)
+        # whatever it ends of, it is started again, however often
+        assert (found["Restart"], found["StartLimitIntervalSec"]) == (["always"], ["0"])
+        assert not {"PartOf", "BindsTo", "Requires", "Requisite", "StopPropagatedFrom"} & {*found}
+        assert "PropagatesStopTo" not in found
+        # one signs the robot's state, or the gate shuts the older one out
+        others = ["authguard-estimator@%i.service"] if name == "estimator" else []
+        assert found.get("Conflicts", []) == others
+    for name in ("deadman", "actuator"):
+        assert not {"After", "Wants"} & {*ros_unit(name)}
+    assert ros_unit("gate")["Wants"] == ["authguard-ros-deadman@%i.service"]
+
+
+def test_the_processes_on_ros_start_with_security_exactly_as_they_want_it(tmp_path: Path) -> None:
+    from authguard_r.ros.keystore import make_keystore
+    from authguard_r.ros.map import read_map
+    from authguard_r.ros.security import KEYSTORE, OVERRIDE, security_faults
+
+    for name in ON_ROS:
+        assert ros_unit(name)["EnvironmentFile"] == ["/etc/authguard-r/%i/ros.env"]
+        (log,) = ros_unit(name)["Environment"]
+        # without a folder that it may write, ROS 2 makes no node
+        (own,) = ros_unit(name)["RuntimeDirectory"]
+        assert log == f"ROS_LOG_DIR=/run/{own}"
+    lines = (DEPLOY / "ros" / "ros.env").read_text(encoding="utf-8").splitlines()
+    told = dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
+    ros = read_map(ROOT / "examples" / "ros" / "map.yaml")
+    make_keystore(ros, tmp_path / "keystore")
+    assert told[KEYSTORE] == "/etc/authguard-r/courier-1/keystore"
+    assert OVERRIDE not in told
+    told[KEYSTORE] = str(tmp_path / "keystore")
+    ours = (ros.enclaves.gate, ros.enclaves.deadman, ros.enclaves.estimator)
+    for enclave in (*ours, "/robot/base"):
+        assert list(security_faults(ros, enclave, told)) == []
+    assert [fault.where for fault in security_faults(ros, ros.enclaves.gate, {})]
+
+
+@pytest.mark.parametrize("name", ON_ROS)
+def test_a_unit_on_ros_starts_a_module_that_there_is(name: str) -> None:
+    python, flag, module, *words = shlex.split(ros_unit(name)["ExecStart"][0])
+    assert (python, flag) == (ROS_PYTHON, "-m")
+    assert (ROOT / "src" / f"{module.replace('.', '/')}.py").is_file()
+    assert "--demo" not in words
+
+
+@pytest.mark.parametrize("path", [path for path in UNITS if "-ros-" not in path.name])
 def test_every_unit_starts_a_command_that_there_is(path: Path) -> None:
     from authguard_r.cli.app import app
 
@@ -177,7 +264,8 @@ def test_systemd_understands_every_unit_and_finds_little_exposed(
     path: Path, tmp_path: Path
 ) -> None:
     for one in UNITS:
-        text = one.read_text(encoding="utf-8").replace(PROGRAM, sys.executable)
+        text = one.read_text(encoding="utf-8")
+        text = text.replace(PROGRAM, sys.executable).replace(ROS_PYTHON, sys.executable)
         (tmp_path / one.name).write_text(text, encoding="utf-8")
     named = str(tmp_path / path.name.replace("@", "@courier-1"))
     done = subprocess.run(
@@ -204,14 +292,15 @@ def test_systemd_understands_every_unit_and_finds_little_exposed(
 @pytest.mark.skipif(os.geteuid() != 0, reason="folders are given to their users")
 def test_systemd_makes_the_users_and_gives_them_their_folders(tmp_path: Path) -> None:
     (tmp_path / "etc" / "tmpfiles.d").mkdir(parents=True)
-    made = DEPLOY / "sysusers.d" / "authguard-r.conf"
-    subprocess.run(["systemd-sysusers", f"--root={tmp_path}", str(made)], check=True)
+    for name in ("authguard-r.conf", "authguard-ros.conf"):
+        made = DEPLOY / "sysusers.d" / name
+        subprocess.run(["systemd-sysusers", f"--root={tmp_path}", str(made)], check=True)
     users = {}
     for line in (tmp_path / "etc" / "passwd").read_text(encoding="utf-8").splitlines():
         name, _, uid, gid, _, _, shell = line.split(":")
         users[name] = (int(uid), int(gid), shell)
     assert {shell for _, _, shell in users.values()} == {"/usr/sbin/nologin"}
-    assert len({uid for uid, _, _ in users.values()}) == 4
+    assert len({uid for uid, _, _ in users.values()}) == 7
     shutil.copy(DEPLOY / "tmpfiles.d" / "authguard-r.conf", tmp_path / "etc" / "tmpfiles.d")
     command = ["systemd-tmpfiles", "--create", f"--root={tmp_path}", "authguard-r.conf"]
     subprocess.run(command, check=True)

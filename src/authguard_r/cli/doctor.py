@@ -14,7 +14,9 @@ from msgspec.structs import replace
 
 from authguard_r.cli.binding import compared_with
 from authguard_r.cli.doctor_policies import Policies, policy_advice
-from authguard_r.cli.gate_config import open_config, user_number
+from authguard_r.cli.doctor_ros import RosParts, ros_advice
+from authguard_r.cli.gate_config import open_config
+from authguard_r.cli.gate_peers import user_number
 from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import AuthGuardError
@@ -100,6 +102,16 @@ def doctor(
     user: Annotated[
         str | None, typer.Option("--user", help="Who runs the gate (default: you).")
     ] = None,
+    ros_map: Annotated[
+        Path | None, typer.Option("--ros", help="The map of a robot on ROS 2.")
+    ] = None,
+    keystore: Annotated[
+        Path | None, typer.Option("--keystore", help="Its whole keystore; needs --ros.")
+    ] = None,
+    enclave: Annotated[
+        str | None,
+        typer.Option("--enclave", help="Whose process this shell would start; needs --ros."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Name every unsafe or missing part of this set-up, and how to mend it."""
@@ -111,8 +123,10 @@ def doctor(
     )
     _require_both((binding, site, "--site"), (config, trust, "--trust"))
     _require_both((named.risk, trust, "--trust"), (named.emergency, trust, "--trust"))
-    _require_both((named.emergency, site, "--site"))
-    believed = (site, binding, config, named.risk, named.emergency)
+    _require_both((named.emergency, site, "--site"), (keystore, ros_map, "--ros"))
+    if enclave is not None and ros_map is None:
+        raise typer.BadParameter("it is looked at by its map alone", param_hint="--enclave")
+    believed = (site, binding, config, named.risk, named.emergency, ros_map)
     setup = Setup(
         demo=_is_demo(trust),
         uid=os.geteuid() if user is None else user_number(user, where="--user"),
@@ -135,6 +149,7 @@ def doctor(
     found = (
         *checkup(setup, now),
         *policy_advice(named, setup, now),
+        *ros_advice(RosParts(ros=ros_map, keystore=keystore, enclave=enclave), setup),
         *faults,
         *_open(setup.site, site),
     )

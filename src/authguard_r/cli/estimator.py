@@ -12,11 +12,8 @@ from authguard_r.cli.inputs import JsonFlag, TrustOption, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.cli.robot import RunOption
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
-from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.identifiers import RobotId, is_identifier
-from authguard_r.core.reasons import Reason
-from authguard_r.keys.certificate import Role
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.opening import require_estimator
 from authguard_r.keys.trust import read_trust
 
 
@@ -39,7 +36,7 @@ def estimator_command(
         raise typer.BadParameter("expected an identifier", param_hint="--robot")
     rid = RobotId(robot)
     signer = open_signer(key, cert, passphrase_file)
-    _require_estimator(signer, trust, rid, cert)
+    require_estimator(signer, read_trust(trust), rid, wall_now(None), where=cert)
 
     def ready() -> None:
         told = {"ready": True, "robot": rid, "role": "estimator"}
@@ -47,18 +44,3 @@ def estimator_command(
 
     run_estimator(rid, signer, run, trust=lambda: read_trust(trust), rate_hz=rate, ready=ready)
     return 0
-
-
-def _require_estimator(signer: FileSigner, trust: Path, rid: RobotId, cert: Path) -> None:
-    """Require a key that the gate takes snapshots of, now and not at each of them.
-
-    Raises:
-        AuthenticityError: the certificate does not hold, or is not this robot's estimator's.
-    """
-    leaf = read_trust(trust).identify(signer.chain, wall_now(None))
-    if leaf.role is not Role.ESTIMATOR or leaf.robot != rid:
-        raise AuthenticityError(
-            f"expected the certificate of an estimator of `{rid}`",
-            reason=Reason.ROLE_DENIED,
-            where=str(cert),
-        )

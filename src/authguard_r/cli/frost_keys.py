@@ -20,7 +20,7 @@ from authguard_r.cli.frost_files import (
     store,
 )
 from authguard_r.cli.out import emit
-from authguard_r.cli.signing_key import ask_new_passphrase, passphrase_of, read_passphrase
+from authguard_r.cli.signing_key import ask_new_passphrase, passphrase_of
 from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
 from authguard_r.core.identifiers import RegionId, RobotId
 from authguard_r.core.reasons import Reason
@@ -33,6 +33,7 @@ from authguard_r.keys.authority import issue_group, require_group
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.ed25519 import public_key as ed25519_key
 from authguard_r.keys.envelope import is_sealed, seal
+from authguard_r.keys.opening import read_passphrase
 from authguard_r.keys.request import Wanted
 from authguard_r.keys.trust import read_certificates, read_file
 

@@ -7,8 +7,6 @@ runs on, and shown before anybody signs. How-to: docs/howto/gate-config.md
 
 from __future__ import annotations
 
-import os
-import pwd
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +16,7 @@ from msgspec import Struct, to_builtins
 
 from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import folder_signer
+from authguard_r.cli.gate_peers import everybody, mediators_of, peers_of, user_number
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.cli.readers_form import (
@@ -45,6 +44,7 @@ from authguard_r.gate.config import (
     Peer,
     default_config,
     open_gate_config,
+    require_mediator,
     require_segments,
     require_witnesses,
 )
@@ -88,6 +88,7 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Args:
         robot: the robot.
         peers: roles by user, each a name or a number on the gate's machine.
+        mediators: of them, users of an enforcement point alone; no planner runs as one.
         mode: `enforce` or `shadow`.
         connections: most connections of one user.
         refusals: refusals in a row that raise an alert.
@@ -110,6 +111,7 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     robot: RobotId
     peers: dict[str | int, tuple[ClientRole, ...]]
+    mediators: tuple[str | int, ...] = ()
     mode: Mode = Mode.ENFORCE
     connections: Positive | None = None
     refusals: int | None = None
@@ -137,6 +139,14 @@ def make(
     peer: Annotated[
         list[str] | None, typer.Option("--peer", help="USER:role,role; may be repeated.")
     ] = None,
+    mediator: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--mediator",
+            help="USER of a node or gateway, which asks for planners that are other users, and "
+            "drives; may be repeated.",
+        ),
+    ] = None,
     mode: Annotated[Mode, typer.Option("--mode", help="`shadow` releases nothing.")] = Mode.ENFORCE,
     reader: Annotated[
         list[str] | None,
@@ -151,11 +161,13 @@ def make(
     as_json: JsonFlag = False,
 ) -> int:
     """Write a configuration to look through and sign; with --demo, a signed one."""
-    if demo == bool(peer):
+    if demo == bool(peer or mediator):
         raise typer.BadParameter("name each user, or say --demo", param_hint="--peer")
+    peers = everybody() if demo else peers_of(peer or [])
     form = Form(
         robot=_robot(robot),
-        peers=_everybody() if demo else _peers(peer or []),
+        peers={**peers, **mediators_of(mediator or [], peers)},
+        mediators=tuple(mediator or []),
         mode=mode,
         readers=tuple(map(reader_named, reader or [])),
     )
@@ -246,8 +258,15 @@ def read_form(form: Form, *, where: str) -> GateConfig:
     twice = [uid for uid, count in Counter(numbers.values()).items() if count > 1]
     if twice:
         raise MalformedError(f"user {twice[0]} comes twice", where=f"{where}:peers")
+    mediating = {user_number(who, where=f"{where}:mediators") for who in form.mediators}
+    if stray := mediating - set(numbers.values()):
+        raise MalformedError(f"user {min(stray)} is none of `peers`", where=f"{where}:mediators")
     peers = tuple(
-        Peer(uid=uid, roles=tuple(sorted(set(form.peers[who]))))
+        Peer(
+            uid=uid,
+            roles=tuple(sorted(set(form.peers[who]))),
+            mediates=uid in mediating,
+        )
         for who, uid in sorted(numbers.items(), key=lambda item: item[1])
     )
     plain: dict[str, Any] = to_builtins(default_config(form.robot, peers, form.mode))
@@ -264,27 +283,13 @@ def read_form(form: Form, *, where: str) -> GateConfig:
         "retention": retention_of(form.retention, where=f"{where}:retention"),
     }
     config = convert({**plain, **to_builtins(given)}, GateConfig, where=where)
+    for peer in config.peers:
+        require_mediator(peer, where=f"{where}:mediators")
     require_witnesses(config, where=where)
     require_segments(config, where=where)
     require_readers(config.readers, where=f"{where}:readers")
     require_retention(config.retention, config.readers, where=f"{where}:retention")
     return config
-
-
-def user_number(who: str | int, *, where: str) -> int:
-    """Return a user's number on this machine.
-
-    Raises:
-        MalformedError: no such name.
-    """
-    if isinstance(who, int) or (who.isascii() and who.isdigit()):
-        return int(who)
-    try:
-        return pwd.getpwnam(who).pw_uid
-    except (KeyError, ValueError) as error:  # a name with a NUL is no name
-        raise MalformedError(
-            f"this machine has no user `{who}`; create it, or give its number", where=where
-        ) from error
 
 
 def written(config: GateConfig, form: Form) -> str:
@@ -296,6 +301,7 @@ def written(config: GateConfig, form: Form) -> str:
     )
     return (
         f"robot: {config.robot}\nmode: {config.mode}\npeers:\n{peers}"
+        f"mediators: [{', '.join(map(str, form.mediators))}]\n"
         + "".join(f"{name}: {getattr(config, name)}\n" for name in _PLAIN)
         + bounds
         + "witnesses: []\n"
@@ -315,7 +321,8 @@ def card(config: GateConfig, *, demo: bool = False) -> list[str]:
     lines = [f"gate of `{config.robot}`, mode `{config.mode}`"]
     for peer in config.peers:
         name = user_name(peer.uid) or "no such user here"
-        lines.append(f"  {peer.uid:6} {name:20} {', '.join(peer.roles)}")
+        does = "; mediates: no planner runs as this user" if peer.mediates else ""
+        lines.append(f"  {peer.uid:6} {name:20} {', '.join(peer.roles)}{does}")
     bounds = (*_PLAIN, *(field for _, field, _ in _BOUNDS))
     lines += [f"  {name} {getattr(config, name)}" for name in bounds]
     lines += [f"  witness {place.key} at {place.url}" for place in config.witnesses]
@@ -334,42 +341,6 @@ def _payload(config: GateConfig, file: Path) -> dict[str, Any]:
         "users": {str(peer.uid): user_name(peer.uid) for peer in config.peers},
         "advice": [to_builtins(item) for item in _advice(config)],
     }
-
-
-def _everybody() -> dict[str | int, tuple[ClientRole, ...]]:
-    """Return every role for whoever asks."""
-    return {os.geteuid(): tuple(role for role in ClientRole if role is not ClientRole.GATE)}
-
-
-def _peers(given: list[str]) -> dict[str | int, tuple[ClientRole, ...]]:
-    """Return the roles that the command line gives each user."""
-    found: dict[str | int, tuple[ClientRole, ...]] = {}
-    for text in given:
-        who, colon, names = text.rpartition(":")
-        if not colon or not who or who in found:
-            raise typer.BadParameter(
-                f"expected USER:role,role, each user once, got `{text}`", param_hint="--peer"
-            )
-        found[who] = tuple(_role(name) for name in names.split(","))
-        _require_user(who)
-    return found
-
-
-def _role(name: str) -> ClientRole:
-    roles = [str(role) for role in ClientRole if role is not ClientRole.GATE]
-    if name not in roles:
-        raise typer.BadParameter(
-            f"expected roles of {', '.join(roles)}, got `{name}`", param_hint="--peer"
-        )
-    return ClientRole(name)
-
-
-def _require_user(who: str) -> None:
-    """Refuse a user whom this machine does not know, as wrong usage: the command line named him."""
-    try:
-        user_number(who, where="--peer")
-    except MalformedError as error:
-        raise typer.BadParameter(error.message, param_hint="--peer") from error
 
 
 def _robot(name: str) -> RobotId:

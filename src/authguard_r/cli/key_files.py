@@ -16,12 +16,12 @@ from authguard_r.cli.signing_key import (
     ask_new_passphrase,
     open_keys,
     passphrase_of,
-    read_passphrase,
 )
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.envelope import is_sealed, seal, unseal
 from authguard_r.keys.files import write_whole
+from authguard_r.keys.opening import read_passphrase
 from authguard_r.keys.pkcs11 import TokenKey
 from authguard_r.keys.signer import read_keys
 from authguard_r.keys.trust import read_file

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from msgspec import to_builtins
 
-from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.inputs import JsonFlag, load_site, read_binding
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
+from authguard_r.ros.calls import fitted
 from authguard_r.ros.map import RosMap, read_map
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def keystore_command(
     of both authorities: keep it off the robot.
     """
     ros = read_map(ros_map)
-    _require_extra()
+    require_extra()
     from authguard_r.ros.keycheck import check_keystore
     from authguard_r.ros.keystore import ENCLAVES, PRIVATE, make_keystore
 
@@ -73,17 +74,30 @@ def check_command(
         str | None,
         typer.Option("--enclave", help="Look at this shell's variables, as its process."),
     ] = None,
+    binding: Annotated[
+        Path | None,
+        typer.Option("--binding", help="The gate's binding, a file or a shipped name."),
+    ] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Say whether the gate's process alone can move the robot, and what stands against it.
 
+    With --binding and --site each mediated name has to be a way of the binding, as the gate's node
+    has it: exit 4 with the first that is none.
+
     With --keystore every enclave that lies there is read: exit 1 when one of them could publish,
     serve or call what moves the robot, or when its documents are not signed, open or too wide.
     """
+    if (binding is None) is not (site is None):
+        raise typer.BadParameter("expected both or neither", param_hint="--binding, --site")
     ros = read_map(ros_map)
+    if binding is not None and site is not None:
+        model = load_site(site)
+        fitted(read_binding(binding, model), ros, model)
     faults: list[Fault] = []
     if keystore is not None or enclave is not None:
-        _require_extra()
+        require_extra()
         from authguard_r.ros.keycheck import check_keystore
         from authguard_r.ros.security import security_faults
 
@@ -93,10 +107,14 @@ def check_command(
         "robot": str(ros.robot),
         "domain": ros.domain,
         "mediated": {key: item.private for key, item in ros.mediated.items()},
+        "binding": None if binding is None else str(binding),
         "keystore": None if keystore is None else str(keystore),
         "faults": [to_builtins(fault) for fault in faults],
     }
-    emit(payload, _lines(ros, faults, looked=keystore is not None), as_json=as_json)
+    lines = [*_lines(ros, faults, looked=keystore is not None)]
+    if binding is not None:
+        lines.append(f"every mediated name is a way of `{binding}`")
+    emit(payload, lines, as_json=as_json)
     return 1 if faults else 0
 
 
@@ -113,7 +131,12 @@ def _lines(ros: RosMap, faults: Iterable[Fault], *, looked: bool) -> Iterator[st
         yield "no keystore given: nothing shows who can move the robot"
 
 
-def _require_extra() -> None:
+def require_extra() -> None:
+    """Require what reads and writes keystores.
+
+    Raises:
+        EnvironmentFault: it is not installed.
+    """
     if find_spec("asn1crypto") is None or find_spec("defusedxml") is None:
         raise EnvironmentFault(
             "keystores need the extra: pip install 'authguard-r[ros]'",

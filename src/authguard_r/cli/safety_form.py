@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 from msgspec import Struct, to_builtins
 
-from authguard_r.cli.gate_config import user_number
+from authguard_r.cli.gate_peers import user_number
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.names import unknown
 from authguard_r.compile.spoken import quantity

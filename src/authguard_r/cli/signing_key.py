@@ -15,16 +15,8 @@ from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
-from authguard_r.keys.envelope import MAX_PASSPHRASE
-from authguard_r.keys.files import read_private
-from authguard_r.keys.pkcs11 import is_key_uri, open_key
-from authguard_r.keys.signer import (
-    FileSigner,
-    Passphrase,
-    SigningKey,
-    certified,
-    open_key_file,
-)
+from authguard_r.keys.opening import open_named, read_passphrase
+from authguard_r.keys.signer import FileSigner, Passphrase, SigningKey, certified
 from authguard_r.keys.trust import read_trust
 
 PassphraseFile = Annotated[
@@ -34,8 +26,6 @@ PassphraseFile = Annotated[
         help="A file, mode 600, whose one line opens a sealed key or is the token's PIN.",
     ),
 ]
-#: Most bytes of a passphrase file: the longest passphrase in the longest spelling, and a newline.
-_MOST_BYTES = 4 * MAX_PASSPHRASE + 2
 
 
 def open_signer(key: Path, cert: Path, passphrase_file: Path | None = None) -> FileSigner:
@@ -84,10 +74,7 @@ def require_role(signer: FileSigner, roles: frozenset[str], trust: Path | None) 
 
 def open_keys(key: Path, passphrase_file: Path | None = None) -> tuple[SigningKey, ...]:
     """Return the keys of a `--key`, whatever it names; as `open_signer`, without certificates."""
-    passphrase = passphrase_of(passphrase_file)
-    if is_key_uri(str(key)):
-        return (open_key(str(key), passphrase),)
-    return open_key_file(key, passphrase)
+    return open_named(key, passphrase_of(passphrase_file))
 
 
 def passphrase_of(path: Path | None) -> Passphrase | None:
@@ -117,23 +104,6 @@ def ask_new_passphrase(what: str) -> str:
     if _typed("the same again: ") != first:
         raise MalformedError("expected the same passphrase twice", where="passphrase")
     return first
-
-
-def read_passphrase(path: Path) -> str:
-    """Return the one line in a file that only its owner can read.
-
-    Raises:
-        EnvironmentFault: it cannot be read, or others may read it.
-        MalformedError: not one line of text.
-    """
-    data = read_private(path, where="--passphrase-file")
-    try:
-        text = data[: _MOST_BYTES + 1].decode("utf-8").removesuffix("\n").removesuffix("\r")
-    except UnicodeDecodeError as error:
-        raise MalformedError("expected UTF-8", where="--passphrase-file") from error
-    if not text or len(data) > _MOST_BYTES or not text.isprintable():
-        raise MalformedError("expected one line of text", where="--passphrase-file")
-    return text
 
 
 def _typed(question: str) -> str:

@@ -299,6 +299,6 @@ def _words(model: Site) -> list[str]:
 
 def _kind(model: ActionModel) -> str:
     """Return what a word can do at worst, for people: impacts of 0 to 3, then its flags."""
-    flags = ("moves", "waits", "records", "stores", "transmits", "state_writing")
+    flags = ("moves", "waits", "records", "stores", "transmits", "state_writing", "beside")
     told = [f"physical {model.physical}", f"privacy {model.privacy}"]
     return ", ".join([*told, *(flag for flag in flags if getattr(model, flag))])

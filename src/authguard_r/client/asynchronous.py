@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from authguard_r.client.greeting import GateVerifier, Greeting
+from authguard_r.client.greeting import GateVerifier, Greeting, Speaks
 from authguard_r.client.line import Line
 from authguard_r.client.questions import asking, read_questions, signed_answer, the_one
 from authguard_r.client.session import OnEvent, Sent, answer_of, done_of, unreachable
@@ -67,15 +67,20 @@ class AsyncGateClient:
         verifier: GateVerifier | None = None,
         robot: RobotId | None = None,
         allow_shadow: bool = False,
+        speaks: Speaks | None = None,
         timeout_ms: int = TIMEOUT_MS,
     ) -> Self:
-        """Return a client that the gate has welcomed; arguments and errors as `GateClient`'s."""
+        """Return a client that the gate has welcomed; arguments and errors as `GateClient`'s.
+
+        `speaks`: the words that the gate has to speak; None takes any.
+        """
         greeting = Greeting(
             role=role,
             client=client if client is not None else str(role),
             verifier=verifier,
             robot=robot,
             allow_shadow=allow_shadow,
+            speaks=speaks,
         )
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         made = cls(Line(begin(greeting), wire), timeout_ms=timeout_ms)

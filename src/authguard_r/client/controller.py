@@ -42,6 +42,8 @@ STEP_MS = 20
 SAMPLE_MS = 200
 #: Why a controller ended an action whose gate fell silent.
 RENEWAL_LOST = "RENEWAL_LOST"
+#: So many of the actions that ended are told to a gate that comes back, and not begun again.
+KEPT = 16
 
 
 @runtime_checkable
@@ -66,7 +68,7 @@ class Told(Struct, frozen=True):
 
 
 class Body(Protocol):
-    """What moves, as its controller knows it; it does one action at a time.
+    """What moves, as its controller knows it.
 
     `obeys` is False of a body that carries out no stop, and `late_ms` how much later it answers:
     faults that somebody injected.
@@ -91,6 +93,10 @@ class Body(Protocol):
         """It does not move, as far as anybody can know; without an action it was told to."""
         ...
 
+    def has_room(self, action: Action) -> bool:
+        """Return True if it can begin this beside whatever runs, of which there is something."""
+        ...
+
     def begin(self, action: Action, ticket: Digest) -> Flight:
         """Begin an action.
 
@@ -107,12 +113,16 @@ class Body(Protocol):
         """Return True for an action that samples may steer while it runs."""
         ...
 
-    def steer(self, params: Mapping[str, int]) -> None:
-        """Go on with this sample; what it does not name is zero."""
+    def steer(self, ticket: Digest, params: Mapping[str, int]) -> None:
+        """Go on with this sample of a stream; what it does not name is zero."""
         ...
 
-    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
-        """Brake and hold; what runs ends so once it stands, unless it ended otherwise before."""
+    def close(self, ticket: Digest) -> None:
+        """End a stream as it was to end: brake; it has succeeded once the robot stands."""
+        ...
+
+    def brake(self) -> None:
+        """Brake and hold; whatever runs is aborted once it stands, unless it ended before."""
         ...
 
     def pass_time(self, ms: int) -> None:
@@ -137,7 +147,7 @@ class Sent(Struct, frozen=True):
 
 
 class _Run(Struct, frozen=True, kw_only=True):
-    """The action that runs, until the robot stands after it.
+    """An action that runs, until the robot stands after it.
 
     Args:
         order: as it was dispatched.
@@ -166,7 +176,8 @@ class _Late(Struct, frozen=True):
 class ControllerDesk:
     """The controller of one robot; every method returns what is to be sent.
 
-    `stops` counts the stops that were carried out since this start, whoever asked for them.
+    A stop is the whole robot's: whatever runs beside what it was meant for ends with it. `stops`
+    counts the stops that were carried out since this start, whoever asked for them.
 
     Args:
         body: what moves.
@@ -180,8 +191,8 @@ class ControllerDesk:
         self.stops = 0
         self._now_ms = now_ms
         self._proven: set[Channel] = set()
-        self._run: _Run | None = None
-        self._last: Ended | None = None
+        self._runs: dict[Digest, _Run] = {}
+        self._ended: dict[Digest, Ended] = {}  # the last of them, in order
         self._is_stopping = False
         self._halts: dict[tuple[Channel, int], None] = {}  # in order; a repeat is the same one
         self._late: list[_Late] = []
@@ -196,12 +207,16 @@ class ControllerDesk:
     @property
     def stands(self) -> bool:
         """True when no action runs and nothing brakes."""
-        return self._run is None and not self._is_stopping
+        return not self._runs and not self._is_stopping
+
+    def hears(self, channel: Channel) -> bool:
+        """Return True while a server that proved itself is connected there."""
+        return channel in self._proven
 
     def opened(self, channel: Channel, proven: Proven, now_ms: int) -> tuple[Sent, ...]:
         """Listen to a server from now on.
 
-        A gate is told at once how the last action ended, known to it or not, and how many stops
+        A gate is told at once how the last actions ended, known to it or not, and how many stops
         there were, if the robot stands.
 
         Args:
@@ -214,8 +229,8 @@ class ControllerDesk:
         self._advance(now_ms)
         self._proven.add(channel)
         if channel is Channel.GATE:
-            if self._last is not None:
-                self._say(channel, Kind.ENDED, self._last)
+            for ended in self._ended.values():
+                self._say(channel, Kind.ENDED, ended)
             if self.stands:
                 self._say(channel, Kind.STOOD, self._stood())
         return self._take()
@@ -225,7 +240,7 @@ class ControllerDesk:
         self._advance(now_ms)
         self._proven.discard(channel)
         self._halts = {asked: None for asked in self._halts if asked[0] is not channel}
-        if channel is Channel.GATE and self._run is not None and not self._is_stopping:
+        if channel is Channel.GATE and self._runs and not self._is_stopping:
             self._stop(RENEWAL_LOST)
         return self._take()
 
@@ -257,10 +272,10 @@ class ControllerDesk:
     def _dispatch(self, channel: Channel, frame: Frame, now_ms: int) -> None:
         order = read_body(frame.body, Dispatch)
         self._advance(now_ms)
-        if self._last is not None and order.ticket == self._last.ticket:
-            self._say(channel, Kind.ENDED, self._last, frame.id)  # never a second time
+        if order.ticket in self._ended:
+            self._say(channel, Kind.ENDED, self._ended[order.ticket], frame.id)  # never twice
             return
-        if self._run is not None and order.ticket == self._run.order.ticket:
+        if order.ticket in self._runs:
             self._say(channel, Kind.BEGUN, Begun(ticket=order.ticket), frame.id)
             return
         why = self._begin(order)
@@ -276,36 +291,36 @@ class ControllerDesk:
         is_of_now = order.life == self.life and order.stops >= self.stops
         if self._is_stopping or not is_of_now:
             return Reason.STOPPED
-        if self._run is not None:
+        if self._runs and not self.body.has_room(order.action):
             return Reason.BUSY
         try:
             flight = self.body.begin(order.action, order.ticket)
         except ControllerError:
             return Reason.CONTROLLER_FAILED
         now = self._now_ms
-        self._run = _Run(order=order, flight=flight, begun_ms=now, renewed_ms=now)
+        self._runs[order.ticket] = _Run(order=order, flight=flight, begun_ms=now, renewed_ms=now)
         return ""
 
     def _renew(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
-        run = self._running(read_body(frame.body, Renew).ticket)
-        if run is not None:
-            self._run = replace(run, renewed_ms=now_ms)
+        ticket = read_body(frame.body, Renew).ticket
+        if ticket in self._runs:
+            self._runs[ticket] = replace(self._runs[ticket], renewed_ms=now_ms)
 
     def _forward(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
         sample = read_body(frame.body, Forward)
         if not sample.params.keys() <= self.body.sampled:
             raise MalformedError("expected a velocity", where="forward.params")
-        run = self._running(sample.ticket)
+        run = self._runs.get(sample.ticket)
         if run is not None and self.body.streams(run.order.action):
-            self.body.steer(sample.params)
-            self._run = replace(run, sampled_ms=now_ms)
+            self.body.steer(sample.ticket, sample.params)
+            self._runs[sample.ticket] = replace(run, sampled_ms=now_ms)
 
     def _close(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
         ticket = read_body(frame.body, Close).ticket
         self._advance(now_ms)
-        run = self._running(ticket)
+        run = self._runs.get(ticket)
         if run is not None and self.body.streams(run.order.action):
-            self.body.brake(Outcome.SUCCEEDED)
+            self.body.close(ticket)
             self._settle()
 
     def _halt(self, channel: Channel, frame: Frame, now_ms: int) -> None:
@@ -314,11 +329,6 @@ class ControllerDesk:
         if self.body.obeys:
             self._halts[channel, frame.id] = None
             self._stop(Reason.STOPPED)
-
-    def _running(self, ticket: Digest) -> _Run | None:
-        """Return the action that runs, if it is this one."""
-        run = self._run
-        return run if run is not None and run.order.ticket == ticket else None
 
     # time
 
@@ -333,44 +343,61 @@ class ControllerDesk:
 
     def _guard(self) -> None:
         """Stop what was not renewed or lasts too long; a stream without samples stands."""
-        run, now = self._run, self._now_ms
-        if run is None or self._is_stopping:
+        if self._is_stopping:
             return
-        if now - run.renewed_ms >= run.order.renew_within_ms:
-            self._stop(RENEWAL_LOST)
-        elif now - run.begun_ms >= run.order.max_ms:
-            self._stop(Reason.LEASE_ENDED)
-        elif run.sampled_ms is not None and now - run.sampled_ms >= SAMPLE_MS:
-            self.body.steer({})
+        for ticket, run in tuple(self._runs.items()):
+            why = self._over(run)
+            if why:
+                self._stop(why, ticket)
+                return
+            if run.sampled_ms is not None and self._now_ms - run.sampled_ms >= SAMPLE_MS:
+                self.body.steer(ticket, {})
 
-    def _stop(self, why: str) -> None:
-        """Brake and hold; a stop that comes while one is carried out joins it."""
+    def _over(self, run: _Run) -> str:
+        """Return why an action may not go on; empty while it may."""
+        if self._now_ms - run.renewed_ms >= run.order.renew_within_ms:
+            return RENEWAL_LOST
+        is_long = self._now_ms - run.begun_ms >= run.order.max_ms
+        return Reason.LEASE_ENDED if is_long else ""
+
+    def _stop(self, why: str, ticket: Digest | None = None) -> None:
+        """Brake and hold; a stop that comes while one is carried out joins it.
+
+        Args:
+            why: there is a stop.
+            ticket: the action that it is for; what runs beside is stopped with it. None: all.
+        """
         if self._is_stopping or not self.body.obeys:
             return
         self.stops += 1
         self._is_stopping = True
-        if self._run is not None and not self._run.why:
-            self._run = replace(self._run, why=why)
+        for one, run in self._runs.items():
+            its = why if ticket in {None, one} else Reason.STOPPED
+            self._runs[one] = replace(run, why=its)
         self.body.brake()
         self._settle()
 
     def _settle(self) -> None:
-        """Tell how the action ended, then that the robot stands."""
-        run = self._run
-        if run is not None:
+        """Tell how actions ended, then that the robot stands."""
+        for ticket, run in tuple(self._runs.items()):
             outcome = run.flight.outcome()
-            if outcome is None:
-                return
-            self._run, self._last = None, _ended(run, outcome)
-            told = run.flight.told() if isinstance(run.flight, Telling) else None
-            if told is not None:
-                ticket, content, texts = run.order.ticket, told.content, told.texts
-                result = Result(ticket=ticket, content=content, texts=texts)
-                self._say(Channel.GATE, Kind.RESULT, result)
-            self._say(Channel.GATE, Kind.ENDED, self._last)
-        if self._is_stopping and self.body.stands:
+            if outcome is not None:
+                del self._runs[ticket]
+                self._tell_ended(run, _ended(run, outcome))
+        if self._is_stopping and not self._runs and self.body.stands:
             self._is_stopping = False
             self._tell_stood()
+
+    def _tell_ended(self, run: _Run, ended: Ended) -> None:
+        """Tell what an action brought to light, and how it ended."""
+        self._ended[ended.ticket] = ended
+        if len(self._ended) > KEPT:
+            del self._ended[next(iter(self._ended))]
+        told = run.flight.told() if isinstance(run.flight, Telling) else None
+        if told is not None:
+            result = Result(ticket=ended.ticket, content=told.content, texts=told.texts)
+            self._say(Channel.GATE, Kind.RESULT, result)
+        self._say(Channel.GATE, Kind.ENDED, ended)
 
     def _tell_stood(self) -> None:
         """Answer every `HALT`, and tell the gate of a stop that it did not ask for."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from authguard_r.client.controller import Body, Channel, ControllerDesk, Sent
-from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.greeting import GateVerifier, Speaks
 from authguard_r.client.link import Caller, Log, mono_ms
 from authguard_r.client.proof import Proven
 from authguard_r.core.identifiers import MAX_INTEGER, Identifier
@@ -44,6 +44,8 @@ class Driver:
         trust: reads the trust root, for each connection anew.
         log: says what happens.
         ready: called once, when a gate has proved itself for the first time.
+        speaks: the words in which the body reads what is released; None of one that reads the
+            action itself.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class Driver:
         trust: Callable[[], GateVerifier],
         log: Log,
         ready: Callable[[], None],
+        speaks: Speaks | None = None,
     ) -> None:
         # not a time: a clock that was set back must not make a number of before
         life = secrets.randbelow(MAX_INTEGER) + 1
@@ -70,6 +73,7 @@ class Driver:
                 listener=_Ear(self, channel),
                 log=log,
                 allow_shadow=channel is Channel.STOP,  # a stop counts, whoever drives it
+                speaks=None if channel is Channel.STOP else speaks,  # the lane has no words
             )
             for channel, name in SOCKETS.items()
         }

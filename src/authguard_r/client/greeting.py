@@ -38,6 +38,18 @@ class GateVerifier(Verifier, Protocol):
         ...
 
 
+class Speaks(Struct, frozen=True, kw_only=True):
+    """The words of whoever rebuilds what a gate releases: another's words mean other things.
+
+    Args:
+        site: digest of the site model.
+        binding: digest of the binding.
+    """
+
+    site: Digest
+    binding: Digest
+
+
 class Greeting(Struct, frozen=True, kw_only=True):
     """What a client says first and what it demands of the answer.
 
@@ -48,6 +60,7 @@ class Greeting(Struct, frozen=True, kw_only=True):
         robot: whose gate it must be; None takes any.
         allow_shadow: take a gate that releases nothing; anything but a planner or a controller
             takes it anyway.
+        speaks: the gate has to speak these words; None takes any.
     """
 
     role: ClientRole
@@ -55,6 +68,7 @@ class Greeting(Struct, frozen=True, kw_only=True):
     verifier: GateVerifier | None = None
     robot: RobotId | None = None
     allow_shadow: bool = False
+    speaks: Speaks | None = None
 
 
 def hello(greeting: Greeting, nonce: str) -> Hello:
@@ -84,7 +98,7 @@ def require_welcome(welcome: Welcome, greeting: Greeting, *, nonce: str, now: No
     Raises:
         MalformedError: another protocol, role or client than was asked for.
         AuthenticityError: not the robot that was meant, or the proof does not hold.
-        RefusedError: the gate is in shadow mode.
+        RefusedError: the gate is in shadow mode, or speaks other words.
     """
     said = (welcome.protocol, welcome.role, welcome.client)
     if said != (PROTOCOL, greeting.role, greeting.client):
@@ -99,6 +113,21 @@ def require_welcome(welcome: Welcome, greeting: Greeting, *, nonce: str, now: No
             reason=Reason.TRANSITION_REFUSED,
             where="welcome.mode",
         )
+    if greeting.speaks is not None:
+        _require_words(welcome, greeting.speaks)
+
+
+def _require_words(welcome: Welcome, speaks: Speaks) -> None:
+    """Require that what the gate releases means here what it means there."""
+    for word in ("site", "binding"):
+        mine, said = getattr(speaks, word), getattr(welcome, word)
+        if said != mine:
+            raise RefusedError(
+                f"the gate has another {word} (`{said}`) than this end (`{mine}`): "
+                "start both with the same files",
+                reason=Reason.SITE_MISMATCH,
+                where=f"welcome.{word}",
+            )
 
 
 def _require_proof(welcome: Welcome, verifier: GateVerifier, *, nonce: str, now: Now) -> None:

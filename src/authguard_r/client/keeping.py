@@ -14,7 +14,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from authguard_r.client.asynchronous import AsyncGateClient
-from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.greeting import GateVerifier, Speaks
 from authguard_r.client.start import TIMEOUT_MS
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Identifier, RobotId
@@ -31,6 +31,7 @@ class GatePlace(Struct, frozen=True, kw_only=True):
         trust: reads the trust root, for each connection anew, so that a revocation counts.
         client: the client's name in the gate's log.
         mode: a gate in another mode is not taken.
+        speaks: nor one that speaks other words; None takes any.
     """
 
     robot: RobotId
@@ -38,6 +39,7 @@ class GatePlace(Struct, frozen=True, kw_only=True):
     trust: Callable[[], GateVerifier]
     client: Identifier
     mode: Mode = Mode.ENFORCE
+    speaks: Speaks | None = None
 
 
 class KeptGate:
@@ -82,6 +84,7 @@ class KeptGate:
             verifier=place.trust(),
             robot=place.robot,
             allow_shadow=True,  # which mode it has to be in is looked at here, for every role
+            speaks=place.speaks,
             timeout_ms=self._timeout_ms,
         )
         if gate.welcome.mode is not place.mode:

@@ -13,10 +13,11 @@ import signal
 import sys
 import time
 from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from authguard_r.client.greeting import GateVerifier, Greeting
+from authguard_r.client.greeting import GateVerifier, Greeting, Speaks
 from authguard_r.client.proof import Conversation, Proven
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, shown
@@ -52,14 +53,19 @@ class Log:
         self._last: dict[str, tuple[str, str]] = {}
 
     def say(self, event: str, channel: str, **more: str) -> None:
-        """Write a line, unless it would say of its channel what the line before said."""
+        """Write a line, unless it would say of its channel what the line before said.
+
+        Nothing fails for it: a reader that is gone must not end who stops a robot.
+        """
         said = (event, str(sorted(more.items())))
         if self._last.get(channel) == said:
             return
         self._last[channel] = said
         line = {"event": event, "channel": channel, **more}
-        sys.stderr.write(json.dumps({key: shown(value) for key, value in line.items()}) + "\n")
-        sys.stderr.flush()
+        text = json.dumps({key: shown(value) for key, value in line.items()}) + "\n"
+        with suppress(OSError, ValueError):  # ValueError: it is closed
+            sys.stderr.write(text)
+            sys.stderr.flush()
 
     def fault(self, channel: str, error: AuthGuardError) -> None:
         """Write down why a server is not listened to."""
@@ -178,6 +184,7 @@ class Caller:
         listener: hears of everything.
         log: where it says what happened.
         allow_shadow: take a server in shadow mode too.
+        speaks: the words that the server has to speak; None takes any.
     """
 
     def __init__(
@@ -192,8 +199,10 @@ class Caller:
         listener: Listener,
         log: Log,
         allow_shadow: bool = False,
+        speaks: Speaks | None = None,
     ) -> None:
         self._path = path
+        self._speaks = speaks
         self._allow_shadow = allow_shadow
         self._role = role
         self._client = client
@@ -254,6 +263,7 @@ class Caller:
             verifier=self._trust(),
             robot=self._robot,
             allow_shadow=self._allow_shadow,
+            speaks=self._speaks,
         )
         conversation = Conversation(
             greeting, nonce=b64(os.urandom(32)), bounds=self._bounds, now=wall_now

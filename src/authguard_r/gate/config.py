@@ -30,16 +30,20 @@ LEAST_RECORDS = 1_024
 CONFIG_ROLES = frozenset({"site_authority"})
 
 
-class Peer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Peer(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """What the processes of one operating-system user may be.
 
     Args:
         uid: the user's number, as the kernel says it of a connected socket.
         roles: sorted and unique.
+        mediates: it is the user of an enforcement point alone, such as the node on ROS 2 or a
+            gateway: it asks for planners that run as others, and drives. Whoever signs this says
+            that no planner runs as this user.
     """
 
     uid: Count
     roles: Annotated[tuple[ClientRole, ...], Meta(min_length=1)]
+    mediates: bool = False
 
 
 class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -94,6 +98,21 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     retention: Annotated[tuple[Retention, ...], Meta(max_length=len(DataClass))] = ()
 
 
+def require_mediator(peer: Peer, *, where: str) -> None:
+    """Require that who mediates asks and drives, and has no say in what is believed or decided.
+
+    Raises:
+        MalformedError: it has other roles.
+    """
+    needed = {ClientRole.PLANNER, ClientRole.CONTROLLER}
+    if peer.mediates and not needed <= set(peer.roles) <= {*needed, ClientRole.AUDITOR}:
+        raise MalformedError(
+            "expected planner and controller, and auditor at most, of a user that mediates",
+            where=where,
+            reason=Reason.SCHEMA_INVALID,
+        )
+
+
 def default_config(robot: RobotId, peers: tuple[Peer, ...], mode: Mode) -> GateConfig:
     """Return the configuration with the bounds that a set-up starts with."""
     return GateConfig(
@@ -136,6 +155,7 @@ def open_gate_config(data: bytes, *, verifier: Verifier, now: Now, robot: RobotI
                 where=f"gate.peers[{number}].roles",
                 reason=Reason.SCHEMA_INVALID,
             )
+        require_mediator(peer, where=f"gate.peers[{number}].mediates")
     require_witnesses(config)
     require_segments(config)
     require_readers(config.readers, where="gate.readers")

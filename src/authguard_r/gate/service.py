@@ -98,6 +98,7 @@ class Service:
         self.gate = gate
         self._config = config
         self._signer = signer
+        self._binding = binder.digest
         self._reader = reader
         self._controller = controller
         self._advance = advance
@@ -196,6 +197,7 @@ class Service:
             role=hello.role,
             client=hello.client,
             site=self.gate.facts.digest,
+            binding=self._binding,
             proof=proof,
         )
 

@@ -30,6 +30,7 @@ from authguard_r.normalize.binding import (
     ToolBinding,
     Use,
     Ways,
+    binding_digest,
     is_index,
     same,
     ways,
@@ -103,6 +104,8 @@ class Binder:
             for name in binding.tools
         }
         self._results = result_channels(binding, site)
+        #: names the binding
+        self.digest = binding_digest(binding)
 
     def bind(self, call: Call) -> Action:
         """Return the action that the call means, without provenance and meta.

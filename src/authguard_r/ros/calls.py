@@ -13,13 +13,12 @@ from typing import Any
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import Binding, ToolBinding, ways_of
 from authguard_r.normalize.dialects import Call
 from authguard_r.ros.map import Kind, Mediated, RosMap
-from authguard_r.site.model import ActionModel, Site
+from authguard_r.site.model import ActionModel, Site, stopping_mm
 
 #: The parameter that makes velocities a stream.
 DURATION = "duration_ms"
@@ -108,17 +107,37 @@ def bound(binding: Binding, ros: RosMap, site: Site) -> Binding:
     return replace(binding, tools=kept)
 
 
+def fitted(binding: Binding, ros: RosMap, site: Site) -> Binding:
+    """Return the part of a binding that speaks of what is mediated, for a robot that can be held.
+
+    What a node looks at before it serves, and who asks whether it would.
+
+    Args:
+        binding: sound for the site; the gate's own.
+        ros: the robot's map.
+        site: the site.
+
+    Raises:
+        MalformedError: the site has no such robot; its profile does not say how it brakes, and it
+            has streams; or as `bound`.
+    """
+    robot = site.robots.get(ros.robot)
+    if robot is None:
+        raise MalformedError("expected a robot of the site", where="map.robot")
+    spoken = bound(binding, ros, site)
+    for key, item in ros.mediated.items():
+        # a robot that nobody knows to stand is not steered
+        if item.kind is Kind.STREAM and stopping_mm(robot.profile, 1) is None:
+            text = "expected a robot whose profile says how it brakes"
+            raise MalformedError(text, where=f"mediated.{key}")
+    return spoken
+
+
 def velocities(kind: ActionModel) -> frozenset[str]:
     """Return the velocities of an action type that is some for a time; empty: it is none."""
     names = {str(name) for name in kind.params} - {DURATION}
     is_stream = DURATION in kind.params and all(name.endswith(_VELOCITY) for name in names)
     return frozenset(names) if is_stream else frozenset()
-
-
-def at_rest(action: Action) -> Action:
-    """Return a stream's action with every velocity zero."""
-    names = (name for name in action.params if name != DURATION)
-    return replace(action, params={**action.params, **dict.fromkeys(names, 0)})
 
 
 def _item(name: str, tool: ToolBinding, ros: RosMap) -> str:

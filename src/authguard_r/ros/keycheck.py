@@ -32,6 +32,7 @@ from authguard_r.ros.keystore import (
     PERMISSIONS,
     PERMISSIONS_P7S,
     PUBLIC,
+    robots_of,
 )
 from authguard_r.ros.map import RosMap
 from authguard_r.ros.rights import Rights, Way, actuating, rights_of
@@ -53,6 +54,7 @@ class Code(StrEnum):
     FOREIGN = "CERTIFICATE_FOREIGN"
     EXPIRED = "EXPIRED"
     PLAIN = "SECURITY_NOT_ENFORCED"
+    STRANGE = "ENCLAVE_BEYOND_MAP"
 
 
 class Fault(Struct, frozen=True, kw_only=True):
@@ -152,6 +154,7 @@ def _enclave_faults(
     found: list[Fault] = []
     for part in (
         _identity(enclave, ca, now),
+        _named(enclave, ros),
         _governed(enclave, ca, ros),
         _permitted(enclave, ca, ros, wanted, now),
     ):
@@ -210,6 +213,21 @@ def _identity(enclave: _Enclave, ca: _Authorities, now: datetime) -> Iterator[Fa
             yield Fault(code=Code.FOREIGN, where=where, message=text)
 
 
+def _named(enclave: _Enclave, ros: RosMap) -> Iterator[Fault]:
+    """Yield an enclave of another robot, and the gate's if nothing says whose it is.
+
+    Robots of one hospital have enclaves of one name: a keystore in the wrong place looks right.
+    """
+    robots = robots_of(enclave.certificate, where=str(enclave.home / CERTIFICATE))
+    if robots and ros.robot not in robots:
+        text = f"its certificate is of {', '.join(sorted(robots))}, expected `{ros.robot}`"
+        yield Fault(code=Code.FOREIGN, where=enclave.name, message=text)
+    is_gate = enclave.name == ros.enclaves.gate
+    if is_gate and not robots and ros.robot not in enclave.name.split("/"):
+        text = f"neither its certificate nor its name says that it is `{ros.robot}`'s"
+        yield Fault(code=Code.FOREIGN, where=enclave.name, message=text)
+
+
 def _governed(enclave: _Enclave, ca: _Authorities, ros: RosMap) -> Iterator[Fault]:
     path = enclave.home / GOVERNANCE_P7S
     text = open_text(_read(path), ca.permissions, where=str(path))
@@ -231,7 +249,10 @@ def _permitted(
         if grant.until < now:
             yield Fault(code=Code.EXPIRED, where=enclave.name, message="its permissions have ended")
     yield from _moving(enclave.name, grants, actuating(ros))
-    if wanted is not None:
+    if wanted is None:
+        message = "expected no enclave but the map's: nobody says what its rights are for"
+        yield Fault(code=Code.STRANGE, where=enclave.name, message=message)
+    else:
         yield from _differing(enclave.name, grants, wanted)
 
 

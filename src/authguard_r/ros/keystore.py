@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from msgspec import Struct
 
-from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.files import write_whole
 from authguard_r.ros.documents import governance, permissions
@@ -34,6 +34,8 @@ IDENTITY, PERMISSIONS = "identity_ca", "permissions_ca"
 #: Files of an enclave.
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 GOVERNANCE_P7S, PERMISSIONS_P7S = "governance.p7s", "permissions.p7s"
+#: A certificate names the robots that its process is of, as the gate's own certificates do.
+_ROBOT = "urn:authguard-r:robot:"
 _DAY = timedelta(days=1)
 
 
@@ -84,7 +86,7 @@ def _write_enclaves(
     signed = sign_text(ruled, allowing.certificate, allowing.key)
     for enclave, its in rights.items():
         home = _home(folder, ENCLAVES, enclave.removeprefix("/"))
-        made = leaf(enclave, identity, issued)
+        made = leaf(enclave, ros.robot, identity, issued)
         until = made.certificate.not_valid_after_utc
         may = permissions(enclave, its, domain=ros.domain, since=issued - _DAY, until=until)
         files = {
@@ -125,15 +127,34 @@ def authority(name: str, issued: datetime) -> Authority:
     return Authority(made.sign(key, hashes.SHA256()), key)
 
 
-def leaf(enclave: str, identity: Authority, issued: datetime) -> Authority:
-    """Return a new key of an enclave, whose name its certificate bears."""
+def leaf(enclave: str, robot: str, identity: Authority, issued: datetime) -> Authority:
+    """Return a new key of an enclave, whose name and robot its certificate bears."""
     key = ec.generate_private_key(ec.SECP256R1())
     until = issued + ENCLAVE_DAYS * _DAY
     made = _builder(_name(enclave), key, issued, until)
     made = made.issuer_name(identity.certificate.subject)
     made = made.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     made = made.add_extension(_usage(signs_certificates=False), critical=True)
+    # beside the subject, which DDS compares as a whole
+    named = x509.SubjectAlternativeName([x509.UniformResourceIdentifier(_ROBOT + robot)])
+    made = made.add_extension(named, critical=False)
     return Authority(made.sign(identity.key, hashes.SHA256()), key)
+
+
+def robots_of(certificate: x509.Certificate, *, where: str) -> frozenset[str]:
+    """Return the robots that a certificate of an enclave names; one of another maker may name none.
+
+    Raises:
+        MalformedError: its extensions cannot be read.
+    """
+    try:
+        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except x509.ExtensionNotFound:
+        return frozenset()
+    except (ValueError, x509.DuplicateExtension, x509.UnsupportedGeneralNameType) as error:
+        raise MalformedError("expected extensions of a certificate", where=where) from error
+    names = found.value.get_values_for_type(x509.UniformResourceIdentifier)
+    return frozenset(name.removeprefix(_ROBOT) for name in names if name.startswith(_ROBOT))
 
 
 def pem(certificate: x509.Certificate) -> bytes:

@@ -37,7 +37,8 @@ class Kind(StrEnum):
     STREAM = "stream"
 
 
-_PARTS = {
+#: What each is a type of.
+PARTS = {
     Kind.ACTION: Part.ACTION,
     Kind.SERVICE: Part.SERVICE,
     Kind.MESSAGE: Part.MESSAGE,
@@ -167,6 +168,7 @@ class RosMap(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         proposals: topics of text; absent: none.
         position: where the place comes from; absent: another estimator attests it.
         decisions: where displays read what was decided.
+        status: where displays read how gate and node stand.
         heartbeat: says all the time that the gate's node lives.
     """
 
@@ -180,6 +182,7 @@ class RosMap(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     proposals: Proposals | None = None
     position: Position | None = None
     decisions: str = "/authguard/decisions"
+    status: str = "/authguard/status"
     heartbeat: str = "/authguard/heartbeat"
 
 
@@ -258,6 +261,7 @@ def _own_names(ros: RosMap) -> Iterator[tuple[str, str, bool]]:
         yield "proposals.ask", ros.proposals.ask, True
         yield "proposals.told", ros.proposals.told, True
     yield "decisions", ros.decisions, False
+    yield "status", ros.status, False
     yield "heartbeat", ros.heartbeat, False
 
 
@@ -295,7 +299,7 @@ def _types(ros: RosMap) -> Iterator[tuple[str, str]]:
         if not is_identifier(key):
             yield f"{group}.{key}", "expected an id of a-z, 0-9 and `_.:-`"
     for key, item in ros.mediated.items():
-        wanted = _PARTS[item.kind]
+        wanted = PARTS[item.kind]
         if part_of(item.type) is not wanted:
             yield f"mediated.{key}.type", f"expected `package/{wanted}/Name`, got `{item.type}`"
     for key, shown in ros.shown.items():

@@ -12,7 +12,7 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from authguard_r.ros.map import Kind, Process, RosMap
+from authguard_r.ros.map import PLANNERS, Kind, Process, RosMap
 
 #: The names of our own nodes.
 GATE_NODE = "/authguard/gate"
@@ -21,6 +21,9 @@ ESTIMATOR_NODE = "/authguard_estimator"
 #: Who is in the graph: every participant writes it, so nothing is ever decided by it.
 DISCOVERY = "ros_discovery_info"
 DIAGNOSTICS = "/diagnostics"
+#: Every node says here what became of its parameters, and some obey what is said there of their
+#: own: who must move nothing says it elsewhere, remapped to below `PLANNERS`.
+EVENTS = "/parameter_events"
 _TRANSFORMS = ("/tf", "/tf_static")
 _PARAMETERS = (
     "describe_parameters",
@@ -77,9 +80,12 @@ def rights_of(ros: RosMap) -> dict[str, Rights]:
     found: dict[str, set[_Right]] = {
         ours.gate: {*_node(GATE_NODE), *_gate(ros)},
         ours.deadman: {*_node(DEADMAN_NODE, served=False), *_deadman(ros)},
-        ours.planner: {*_node("", served=False), *_planner(ros)},
+        ours.planner: {*_node("", served=False, events=f"{PLANNERS}{EVENTS}"), *_planner(ros)},
         ours.estimator: {*_node(ESTIMATOR_NODE, served=False), *_estimator(ros)},
-        ours.display: {*_node("", served=False), *_reads(ros.decisions, DIAGNOSTICS)},
+        ours.display: {
+            *_node("", served=False, events=f"{PLANNERS}{EVENTS}"),
+            *_displays(ros),
+        },
     }
     for enclave, process in ros.processes.items():
         found[enclave] = {*_process(process), *_served(ros, enclave)}
@@ -97,7 +103,7 @@ def actuating(ros: RosMap) -> dict[str, frozenset[str]]:
 
     What the robot obeys; the answers of the one that obeys, for a false server would say that it
     did what it was told; parameters and states of the robot's own nodes, which move it too; and
-    what says that the gate lives.
+    what says that the gate lives, and what nodes obey that was said of their parameters.
     """
     found: dict[str, set[str]] = {}
     for item in ros.mediated.values():
@@ -115,7 +121,9 @@ def actuating(ros: RosMap) -> dict[str, frozenset[str]]:
     for enclave, process in ros.processes.items():
         for name in process.calls:  # whoever wrote the map stands behind it
             _allow(found, _service(name)[0], enclave, new=False)
-    _allow(found, _writes(ros.heartbeat, ros.decisions), ros.enclaves.gate)
+    _allow(found, _writes(ros.heartbeat, ros.decisions, ros.status), ros.enclaves.gate)
+    trusted = {ros.enclaves.gate, ros.enclaves.deadman, ros.enclaves.estimator, *ros.processes}
+    _allow(found, _writes(EVENTS), *trusted)
     return {topic: frozenset(enclaves) for topic, enclaves in found.items()}
 
 
@@ -137,9 +145,14 @@ def _gate(ros: RosMap) -> Iterator[_Right]:
     if ros.proposals is not None:
         yield from _reads(ros.proposals.ask)
         yield from _writes(ros.proposals.told)
-    yield from _writes(ros.decisions, ros.heartbeat, DIAGNOSTICS, f"{GATE_NODE}/transition_event")
+    yield from _writes(ros.decisions, ros.status, ros.heartbeat, DIAGNOSTICS)
+    yield from _writes(f"{GATE_NODE}/transition_event")
     for service in _LIFECYCLE:
         yield from _service(f"{GATE_NODE}/{service}")[1]
+
+
+def _displays(ros: RosMap) -> Iterator[_Right]:
+    yield from _reads(ros.decisions, ros.status, DIAGNOSTICS)
 
 
 def _deadman(ros: RosMap) -> Iterator[_Right]:
@@ -188,12 +201,12 @@ def _served(ros: RosMap, enclave: str) -> Iterator[_Right]:
             yield from _writes(shown.private)
 
 
-def _node(name: str, *, served: bool = True) -> Iterator[_Right]:
+def _node(name: str, *, served: bool = True, events: str = EVENTS) -> Iterator[_Right]:
     """Yield what every node does; one that serves no parameters has fewer rights."""
     yield from ((way, DISCOVERY) for way in Way)
-    yield from _writes("/parameter_events", "/rosout")
+    yield from _writes(events, "/rosout")
     if served:
-        yield from _reads("/parameter_events")
+        yield from _reads(EVENTS)
         for service in _PARAMETERS:
             yield from _service(f"{name}/{service}")[1]
 

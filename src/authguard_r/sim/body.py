@@ -45,6 +45,10 @@ class SymbolicBody:
         """It stands once its action has ended."""
         return True
 
+    def has_room(self, action: Action) -> bool:  # noqa: ARG002 - the port's
+        """Return False: it does one action at a time."""
+        return False
+
     def begin(self, action: Action, ticket: Digest) -> SimFlight:  # noqa: ARG002 - the port's
         """Begin an action.
 
@@ -60,14 +64,18 @@ class SymbolicBody:
         """Return True for a velocity."""
         return action.type == _STREAM
 
-    def steer(self, params: Mapping[str, int]) -> None:
+    def steer(self, ticket: Digest, params: Mapping[str, int]) -> None:  # noqa: ARG002
         """Go on with this velocity; what it does not name is zero."""
         named = {ParameterId(name): value for name, value in params.items()}
         self.robot.steer(asked_velocity(named))
 
-    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+    def close(self, ticket: Digest) -> None:  # noqa: ARG002 - there is one
+        """Brake; the stream has succeeded."""
+        self.robot.brake(Outcome.SUCCEEDED)
+
+    def brake(self) -> None:
         """Brake as the profile says."""
-        self.robot.brake(outcome)
+        self.robot.brake()
 
     def pass_time(self, ms: int) -> None:
         """Let the world go on."""

@@ -14,6 +14,7 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+from authguard_r.client.sensing import ID_MODULUS
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import Snapshot
@@ -26,8 +27,6 @@ LOOK_MS = 50
 MAX_LISTENERS = 64
 #: Bytes that a listener may leave unread before it misses snapshots.
 MAX_UNREAD = 1 << 16
-#: A frame's id has so many bits.
-ID_MODULUS = 1 << 32
 
 
 def reading_frame(seen: Snapshot, measured_ms: int) -> bytes:

@@ -53,7 +53,9 @@ class Change(Struct, frozen=True, kw_only=True):
 #: Parts that hold things by id.
 _THINGS = ("regions", "objects", "robots", "vocabulary", "people")
 #: A larger value lets more happen.
-_MORE = frozenset({"high", "max_speed_mm_s", "max_force_mn", "max_payload_g", "max_accel_mm_s2"})
+_MORE = frozenset(
+    {"high", "max_speed_mm_s", "max_force_mn", "max_payload_g", "max_accel_mm_s2", "beside"}
+)
 #: A smaller one, or false instead of true, lets more happen or has less checked.
 _LESS = frozenset(
     {"low", "mass_g", "privacy", "required"}

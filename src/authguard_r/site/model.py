@@ -130,6 +130,8 @@ class ActionModel(_Model, frozen=True, kw_only=True):
         physical: how badly a body or property can be hurt, whatever the parameters say: 0 not at
             all, 1 a bruise or a scratch, 2 an injury or a thing destroyed, 3 a life. For people
             who read the site and review a mission; the decision's risk does not weigh it yet.
+        beside: a controller that can may begin it while another action runs, and another while
+            this one runs; absent, no.
     """
 
     fields: tuple[Literal["destination", "object", "route", "source"], ...]
@@ -142,6 +144,7 @@ class ActionModel(_Model, frozen=True, kw_only=True):
     privacy: Annotated[int, Meta(ge=0, le=3)] = 0
     physical: Annotated[int, Meta(ge=0, le=3)] = 0
     state_writing: bool = False
+    beside: bool = False
 
 
 class Profile(_Model, frozen=True, kw_only=True):

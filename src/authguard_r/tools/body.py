@@ -136,6 +136,10 @@ class ToolBody:
         """True while it was not told to move, or somebody has said that it does not any more."""
         return not (self._is_told or self._was_told)
 
+    def has_room(self, action: Action) -> bool:  # noqa: ARG002
+        """Return False: it makes one call at a time."""
+        return False
+
     def begin(self, action: Action, ticket: Digest) -> ToolFlight:
         """Make the call.
 
@@ -160,10 +164,13 @@ class ToolBody:
         """Return False: a tool is called once and not steered."""
         return False
 
-    def steer(self, params: Mapping[str, int]) -> None:
+    def steer(self, ticket: Digest, params: Mapping[str, int]) -> None:
         """Do nothing: nothing streams."""
 
-    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+    def close(self, ticket: Digest) -> None:
+        """Do nothing: nothing streams."""
+
+    def brake(self) -> None:
         """Call off what runs, and stop the robot where it may move; a second time changes nothing.
 
         What could not be stopped is tried again until it was.
@@ -174,7 +181,7 @@ class ToolBody:
         if self._task is not None:
             self._task.cancel()
         self._is_stopping = True
-        self._task = asyncio.ensure_future(self._stop(outcome))
+        self._task = asyncio.ensure_future(self._stop())
 
     def pass_time(self, ms: int) -> None:
         """Do nothing: time passes by itself."""
@@ -221,9 +228,9 @@ class ToolBody:
         self._changed()
         if flight.moves and self._is_told and self._means.stops:
             self._is_stopping = True  # nobody asked for it: nobody knows where it goes
-            await self._stop(Outcome.ABORTED)
+            await self._stop()
 
-    async def _stop(self, outcome: Outcome) -> None:
+    async def _stop(self) -> None:
         """Make the calls that stop the robot, until they are answered.
 
         Without such calls nobody knows that it stands.
@@ -234,7 +241,7 @@ class ToolBody:
         if stands:
             self._is_told = self._was_told = False
         self._is_stopping = False
-        self._ended(outcome if stands else Outcome.UNKNOWN)
+        self._ended(Outcome.ABORTED if stands else Outcome.UNKNOWN)
 
     def _ended(self, outcome: Outcome) -> None:
         if self._flight is not None:

@@ -27,6 +27,7 @@ from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.site.model import Site
 from authguard_r.tools.body import Means, Rebuilds, ToolBody
+from authguard_r.tools.given import words_of
 from authguard_r.tools.planner import Planner
 from authguard_r.tools.server import Server
 from authguard_r.wire.messages import Mode
@@ -80,6 +81,7 @@ class Ends:
         require_folder(place.run)
         self._place = place
         self._server = server
+        speaks = words_of(place.site, place.binding)
         self.planner = Planner(
             GatePlace(
                 robot=place.robot,
@@ -87,6 +89,7 @@ class Ends:
                 trust=place.trust,
                 client=place.client,
                 mode=Mode.SHADOW if place.shadow else Mode.ENFORCE,
+                speaks=speaks,
             )
         )
         means = Means(
@@ -97,7 +100,14 @@ class Ends:
         )
         body = self._body = ToolBody(place.robot, server, means, self.look)
         self._proven = asyncio.Event()
-        self._driver = Driver(body, place.run, trust=place.trust, log=log, ready=self._proven.set)
+        self._driver = Driver(
+            body,
+            place.run,
+            trust=place.trust,
+            log=log,
+            ready=self._proven.set,
+            speaks=speaks,
+        )
 
     def look(self) -> None:
         """Look at the server now: something of it has come, gone or ended."""

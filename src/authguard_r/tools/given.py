@@ -6,13 +6,14 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from authguard_r.client.greeting import Speaks
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust, read_file
-from authguard_r.normalize.binding import Binding, load_binding
+from authguard_r.normalize.binding import Binding, binding_digest, load_binding
 from authguard_r.normalize.shipped import binding_source
-from authguard_r.site.model import Site
+from authguard_r.site.model import Site, site_digest
 from authguard_r.site.signed import is_token, read_signed_site
 from authguard_r.site.source import as_text, parse_site, require_sound
 
@@ -52,3 +53,8 @@ def given_binding(name: str, site: Site) -> Binding:
         EnvironmentFault: it cannot be read.
     """
     return load_binding(binding_source(name), site=site, where=name)
+
+
+def words_of(site: Site, binding: Binding) -> Speaks:
+    """Return what a gate has to speak whose releases are rebuilt with this site and binding."""
+    return Speaks(site=site_digest(site), binding=binding_digest(binding))

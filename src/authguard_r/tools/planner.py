@@ -125,7 +125,6 @@ class Planner:
             data = json.dumps(plan, ensure_ascii=False, allow_nan=False).encode()
         except (ValueError, TypeError, RecursionError) as error:
             raise MalformedError("not JSON", where="arguments") from error
-        gate = await self.connected()
         brought: list[dict[str, Any]] = []
 
         def hear(item: dict[str, Any]) -> None:
@@ -133,14 +132,37 @@ class Planner:
             if told is not None:
                 told(item)
 
+        answer = await self.plan(data, key=key, dialect="json", told=hear)
+        (step, *_) = answer["steps"]
+        return Asked(step=step, brought=tuple(brought), repeated=answer["repeated"])
+
+    async def plan(
+        self,
+        data: bytes,
+        *,
+        dialect: str = "auto",
+        key: str | None = None,
+        told: Callable[[dict[str, Any]], None] | None = None,
+    ) -> dict[str, Any]:
+        """Propose a plan as it was written; return the gate's answer. The `turn` is held.
+
+        Args:
+            data: what the planner wrote, byte for byte; untrusted.
+            dialect: how it is written; `auto` leaves that to the gate.
+            key: names the proposal, so that asking again is the same one.
+            told: called with each thing that the gate tells before the answer.
+
+        Raises:
+            AuthGuardError: nothing was decided.
+            LostError: the gate went after it was asked.
+        """
+        gate = await self.connected()
         try:
-            answer = await gate.propose(data, key=key, dialect="json", on_step=hear)
+            return await gate.propose(data, key=key, dialect=dialect, on_step=told)
         except AuthGuardError as error:
             if not gate.is_open:
                 raise LostError(error) from error
             raise
-        (step, *_) = answer["steps"]
-        return Asked(step=step, brought=tuple(brought), repeated=answer["repeated"])
 
     async def unreadable(self, tool: str, text: str) -> None:
         """Hand in what was written for a call and is none: the gate refuses it, and logs that.
@@ -157,8 +179,12 @@ class Planner:
             gate = await self.connected()
             await gate.propose(said.encode(errors="backslashreplace"), dialect="json")
 
-    async def note(self, texts: Iterable[str]) -> None:
-        """Tell the gate what the planner is about to see, as the least trusted of all.
+    async def note(self, texts: Iterable[str], channel: str = UNTOLD) -> None:
+        """Tell the gate what the planner is about to see.
+
+        Args:
+            texts: untrusted.
+            channel: what they come by; the least trusted of all where nobody says.
 
         Raises:
             AuthGuardError: it did not take note.
@@ -166,7 +192,7 @@ class Planner:
         gate = await self.connected()
         for text in texts:
             for at in range(0, max(len(text), 1), MAX_NOTED):
-                await gate.observe(UNTOLD, text[at : at + MAX_NOTED])
+                await gate.observe(channel, text[at : at + MAX_NOTED])
 
     async def connected(self) -> AsyncGateClient:
         """Return the gate as a planner reaches it, connected anew where it was lost.

@@ -11,7 +11,7 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import UNSET, Meta, Struct, UnsetType
 
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import (
@@ -132,6 +132,7 @@ class Welcome(_Message, frozen=True, kw_only=True):
         role: as asked for.
         client: as asked for.
         site: digest of the site model; the stop lane knows none.
+        binding: digest of the binding by which it reads planners; the stop lane knows none.
         proof: token of a `Proof`, when there was a nonce.
     """
 
@@ -141,6 +142,7 @@ class Welcome(_Message, frozen=True, kw_only=True):
     role: ClientRole
     client: Identifier
     site: Digest | None = None
+    binding: Digest | UnsetType = UNSET
     proof: str | None = None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -20,6 +21,7 @@ from authguard_r.gate.config import (
     GateConfig,
     Peer,
     open_gate_config,
+    require_mediator,
     roles_of,
 )
 from authguard_r.gate.vigil import notary_policy
@@ -145,3 +147,23 @@ def test_a_user_that_is_not_named_may_nothing() -> None:
     held = config(peers=(ONE, TWO))
     assert roles_of(held, 1) == {ClientRole.PLANNER}
     assert roles_of(held, 0) == frozenset()
+
+
+@pytest.mark.parametrize(
+    "roles",
+    [
+        (ClientRole.PLANNER,),
+        (ClientRole.CONTROLLER,),
+        (ClientRole.CONTROLLER, ClientRole.ESTIMATOR, ClientRole.PLANNER),
+        (ClientRole.CONTROLLER, ClientRole.OPERATOR, ClientRole.PLANNER),
+    ],
+)
+def test_who_mediates_asks_and_drives_and_has_no_other_say(roles: tuple[ClientRole, ...]) -> None:
+    with pytest.raises(MalformedError, match="mediates"):
+        require_mediator(Peer(uid=1, roles=roles, mediates=True), where="peer")
+    require_mediator(Peer(uid=1, roles=roles), where="peer")
+
+
+def test_a_peer_of_before_there_were_mediators_is_the_same_bytes() -> None:
+    peer = Peer(uid=1, roles=(ClientRole.PLANNER,))
+    assert msgspec.json.encode(peer) == b'{"uid":1,"roles":["planner"]}'

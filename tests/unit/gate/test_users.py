@@ -100,3 +100,16 @@ def test_what_is_switched_off_is_said() -> None:
 def test_names_are_the_machines() -> None:
     assert user_name(0) == "root"
     assert user_name(PLANNER) is None
+
+
+def test_who_mediates_for_other_users_is_planner_and_controller_without_a_finding() -> None:
+    roles = (ClientRole.AUDITOR, ClientRole.CONTROLLER, ClientRole.PLANNER)
+    for mediates in (True, False):
+        peer = Peer(uid=PLANNER, roles=roles, mediates=mediates)
+        found = list(user_advice(config(peers=(peer, *peers()[1:])), uid=None))
+        assert (Code.SHARED_USER in {item.code for item in found}) is not mediates
+    # and never as the gate's own user, or as root
+    for uid, code in ((PLANNER, Code.SHARED_USER), (0, Code.ROOT_USER)):
+        peer = Peer(uid=uid, roles=roles, mediates=True)
+        found = list(user_advice(config(peers=(peer,)), uid=PLANNER))
+        assert (Level.UNSAFE, code) in told(found)

@@ -12,13 +12,14 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from cryptography import x509
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.ros.documents import governance, governance_faults, read_permissions
 from authguard_r.ros.keycheck import Code, Fault, check_enclave, check_keystore
 from authguard_r.ros.keystore import ENCLAVES, KEY, PRIVATE, PUBLIC, make_keystore
 from authguard_r.ros.rights import rights_of
-from keystores import NOW, example, home, map_of, plain_map, resign
+from keystores import NOW, certify, example, home, map_of, plain_map, resign
 
 PLANNER, GATE, BASE = "/llm/planner", "/authguard/gate", "/robot/base"
 GOAL = "<topic>rt/llm/cmd_vel</topic>"
@@ -82,6 +83,7 @@ def test_l21_whatever_pattern_could_reach_the_robot_is_found(keystore: Path, pat
         "rq/base/change_stateRequest",
         "rt/authguard/heartbeat",
         "rt/authguard/decisions",
+        "rt/authguard/status",
     ],
 )
 def test_l1_every_way_to_move_the_robot_is_one_that_is_found(keystore: Path, topic: str) -> None:
@@ -224,6 +226,52 @@ def test_an_enclave_of_another_authority_is_found(keystore: Path, tmp_path: Path
     assert Code.FORGED in codes
 
 
+def named(*uris: str) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri) for uri in uris])
+
+
+def test_a_keystore_of_another_robot_is_found(tmp_path: Path) -> None:
+    """Its enclaves have the same names, and it is as sound as this one's."""
+    other = map_of({**plain_map(), "robot": "courier-9"})
+    make_keystore(other, tmp_path / "other")
+    assert check_keystore(other, tmp_path / "other") == ()
+    faults = check_keystore(example(), tmp_path / "other")
+    assert {fault.code for fault in faults} == {Code.FOREIGN}
+    assert {fault.where for fault in faults} == set(rights_of(example()))
+    assert all("courier-9" in fault.message for fault in faults)
+
+
+@pytest.mark.parametrize(
+    "extensions",
+    [(), (named("urn:example:courier-1"),), (x509.SubjectAlternativeName([x509.DNSName("x")]),)],
+)
+def test_a_gate_whose_enclave_names_no_robot_is_found(
+    keystore: Path, extensions: tuple[x509.ExtensionType, ...]
+) -> None:
+    certify(keystore, GATE, *extensions)
+    certify(keystore, PLANNER, *extensions)  # it may be a planner of several robots
+    assert found(keystore) == [(Code.FOREIGN, GATE)]
+
+
+def test_an_enclave_may_be_of_several_robots_and_a_gates_own_name_counts(
+    keystore: Path, tmp_path: Path
+) -> None:
+    uri = "urn:authguard-r:robot:"
+    certify(keystore, PLANNER, named(f"{uri}courier-9", f"{uri}courier-1"))
+    assert found(keystore) == []
+    plain = plain_map()
+    plain["enclaves"]["gate"] = "/courier-1/gate"
+    make_keystore(map_of(plain), tmp_path / "named")
+    certify(tmp_path / "named", "/courier-1/gate")
+    assert check_keystore(map_of(plain), tmp_path / "named") == ()
+
+
+def test_extensions_that_nobody_can_read_are_found(keystore: Path) -> None:
+    san = x509.ObjectIdentifier("2.5.29.17")
+    certify(keystore, PLANNER, x509.UnrecognizedExtension(san, b"\x30\x03\x86\x05x"))
+    assert (Code.UNREADABLE, f"{PLANNER}/cert.pem") in found(keystore)
+
+
 def test_what_has_ended_is_found(keystore: Path) -> None:
     later = NOW + timedelta(days=400)
     codes = {fault.code for fault in check_keystore(example(), keystore, now=later)}
@@ -234,6 +282,16 @@ def test_keys_may_lie_with_their_processes(keystore: Path) -> None:
     for enclave in rights_of(example()):
         home(keystore, enclave).joinpath(KEY).unlink()
     assert found(keystore) == []
+
+
+def test_an_enclave_that_the_map_does_not_have_is_found(keystore: Path, tmp_path: Path) -> None:
+    """Whatever it may do, no list of what moves the robot is long enough to say that it is safe."""
+    plain = plain_map()
+    plain["processes"]["/robot/helper"] = {"nodes": ["/helper"], "publishes": ["/initialpose"]}
+    make_keystore(map_of(plain), tmp_path / "wider")
+    faults = check_keystore(example(), tmp_path / "wider")
+    assert {fault.where for fault in faults} == {"/robot/helper"}
+    assert Code.STRANGE in {fault.code for fault in faults}
 
 
 def test_a_map_that_moved_on_is_found(keystore: Path) -> None:

@@ -34,6 +34,7 @@ def test_the_examples_map_is_one() -> None:
         "/navigate_to_pose",
         "/cmd_vel",
         "/light",
+        "/gripper",
     }
 
 
@@ -80,6 +81,7 @@ def test_the_examples_map_is_one() -> None:
         ("position|odometry", "odom", "position.odometry"),
         ("heartbeat", "/llm/heartbeat", "heartbeat"),
         ("decisions", "/cmd_vel", "decisions"),
+        ("status", "/authguard/decisions", "status"),
         ("proposals|ask", "/propose", "proposals.ask"),
         ("mediated|navigate|speed", 1, "mediated.navigate"),
         ("mediated|navigate|kind", "topic", "mediated.navigate.kind"),

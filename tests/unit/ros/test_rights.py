@@ -29,7 +29,7 @@ def test_l1_nothing_that_moves_the_robot_is_written_by_another_than_the_map_says
 
 def test_the_planner_writes_below_its_own_root_and_nowhere_else() -> None:
     planner = rights_of(example())[example().enclaves.planner]
-    usual = {"ros_discovery_info", "rt/parameter_events", "rt/rosout"}
+    usual = {"ros_discovery_info", "rt/rosout"}
     assert all(topic[2:].startswith("/llm/") for topic in planner.publish - usual)
     assert all(topic[2:].startswith("/llm/") for topic in planner.subscribe - usual)
     assert "rt/llm/cmd_vel" in planner.publish
@@ -44,8 +44,9 @@ def test_the_dead_man_cancels_and_does_nothing_else() -> None:
 
 def test_who_reads_publishes_nothing() -> None:
     rights, ours = rights_of(example()), example().enclaves
-    for enclave in (ours.estimator, ours.display):
-        assert rights[enclave].publish <= {"ros_discovery_info", "rt/parameter_events", "rt/rosout"}
+    usual = {"ros_discovery_info", "rt/rosout"}
+    assert rights[ours.estimator].publish == {*usual, "rt/parameter_events"}
+    assert rights[ours.display].publish == {*usual, "rt/llm/parameter_events"}
     assert "rt/odom" in rights[ours.estimator].subscribe
     plain = plain_map()
     plain["position"].pop("odometry")
@@ -75,3 +76,12 @@ def test_no_clock_is_anybodys() -> None:
     assert not any(
         "/clock" in topic for its in rights_of(example()).values() for topic in its.publish
     )
+
+
+def test_nobody_untrusted_says_what_other_nodes_obey_of_their_parameters() -> None:
+    """A node of C++ goes to the time of `/clock` when `/parameter_events` says that it does."""
+    rights, ours = rights_of(example()), example().enclaves
+    allowed = actuating(example())["rt/parameter_events"]
+    assert not {ours.planner, ours.display} & allowed
+    writers = {name for name, its in rights.items() if "rt/parameter_events" in its.publish}
+    assert writers == allowed

@@ -15,7 +15,7 @@ import pytest
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.ros.keystore import KEY, make_keystore
 from authguard_r.ros.security import EXACTLY, require_security, security_faults
-from keystores import example, home
+from keystores import example, home, map_of, plain_map
 
 GATE = "/authguard/gate"
 
@@ -39,7 +39,12 @@ def environment(keystore: Path, **other: str | None) -> dict[str, str]:
 
 
 def test_with_exactly_the_right_words_and_files_it_is_in_its_enclave(made: Path) -> None:
-    for more in ({}, {"ROS_SECURITY_ENCLAVE_OVERRIDE": GATE}):
+    for more in (
+        {},
+        {"ROS_SECURITY_ENCLAVE_OVERRIDE": GATE},
+        {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"},
+        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
+    ):
         assert require_security(example(), GATE, environment(made, **more)) == made
 
 
@@ -61,6 +66,8 @@ def test_with_exactly_the_right_words_and_files_it_is_in_its_enclave(made: Path)
         ("ROS_SECURITY_KEYSTORE", "/nowhere"),
         ("ROS_SECURITY_ENCLAVE_OVERRIDE", "/llm/planner"),
         ("ROS_SECURITY_ENCLAVE_OVERRIDE", ""),
+        ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+        ("RMW_IMPLEMENTATION", ""),
         ("ROS_DOMAIN_ID", None),
         ("ROS_DOMAIN_ID", "0"),
         ("ROS_DOMAIN_ID", "042"),
@@ -72,6 +79,14 @@ def test_l7_a_wrong_word_is_a_refusal_and_not_a_plain_node(
     with pytest.raises(EnvironmentFault, match="a node that anybody can be") as failed:
         require_security(example(), GATE, environment(made, **{name: value}))
     assert failed.value.where == name
+
+
+def test_a_process_does_not_start_in_an_enclave_of_another_robot(tmp_path: Path) -> None:
+    """The gate's own certificate names the map's robot, or its node refuses the gate."""
+    make_keystore(map_of({**plain_map(), "robot": "courier-9"}), tmp_path / "other")
+    with pytest.raises(EnvironmentFault, match="courier-9") as failed:
+        require_security(example(), GATE, environment(tmp_path / "other"))
+    assert failed.value.where == GATE
 
 
 def test_every_wrong_word_is_named(made: Path) -> None:
@@ -107,3 +122,12 @@ def test_a_key_of_another_user_is_a_refusal(made: Path, tmp_path: Path) -> None:
     os.chown(home(keystore, GATE) / KEY, 65_534, 65_534)
     (fault,) = security_faults(example(), GATE, environment(keystore))
     assert "this user owns" in fault.message
+
+
+def test_a_process_of_another_user_is_looked_at_as_that_user(made: Path) -> None:
+    """Who asks for it before it starts is root; the key has to be the process's user's."""
+    key = str(home(made, GATE) / KEY)
+    mine, another = os.geteuid(), os.geteuid() + 1
+    assert list(security_faults(example(), GATE, environment(made), uid=mine)) == []
+    faults = list(security_faults(example(), GATE, environment(made), uid=another))
+    assert [fault.where for fault in faults] == [key]

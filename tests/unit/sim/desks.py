@@ -63,6 +63,8 @@ def welcome(by: str | None = f"gate-{worlds.RID}", **changes: Any) -> Frame:
         mode=Mode.ENFORCE,
         role=ClientRole.CONTROLLER,
         client="controller-courier-1",
+        site=changes.get("site"),
+        binding=changes.get("binding", msgspec.UNSET),
         proof=token,
     )
     return framed(Kind.WELCOME, message)

@@ -485,3 +485,11 @@ def test_only_a_proof_opens_a_channel() -> None:
     assert bench.desk.handle(Channel.GATE, framed(Kind.WELCOME, {}), bench.now_ms) == ()
     assert Proven.__struct_fields__ == ("welcome",)
     assert Welcome.__struct_config__.frozen
+
+
+def test_only_a_server_that_proved_itself_and_is_there_counts_as_heard() -> None:
+    bench = Bench(opened=(Channel.GATE,))
+    assert bench.desk.hears(Channel.GATE)
+    assert not bench.desk.hears(Channel.STOP)
+    bench.close()
+    assert not bench.desk.hears(Channel.GATE)

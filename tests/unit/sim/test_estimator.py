@@ -7,14 +7,16 @@ import pytest
 
 import worlds
 from authguard_r.assembly import folder_signer
+from authguard_r.client.attesting import ANSWER_MS
+from authguard_r.client.sensing import ID_MODULUS
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import open_token
 from authguard_r.keys.trust import read_trust
-from authguard_r.sim.estimator import ANSWER_MS, Estimator
+from authguard_r.sim.estimator import Estimator
 from authguard_r.sim.robot import Faults, SymbolicRobot
-from authguard_r.sim.sensors import ID_MODULUS, reading_frame
+from authguard_r.sim.sensors import reading_frame
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.frames import Frame, FrameReader, read_body
 from authguard_r.wire.messages import Attest, Fault, Kind
@@ -53,15 +55,15 @@ def opened(data: bytes | None) -> Snapshot:
 
 
 def test_nothing_is_said_before_anything_was_heard() -> None:
-    assert estimator().due(1_000) is None
+    assert estimator().attester.due(None, 1_000) is None
 
 
 def test_a_snapshot_is_signed_with_epoch_and_growing_seq() -> None:
     it = estimator()
     it.heard(reading(1_000), 1_000)
-    first = opened(it.due(1_000))
-    it.answered(framed(Kind.REPLY, {}))
-    second = opened(it.due(1_050))
+    first = opened(it.attester.due(it.seen, 1_000))
+    it.attester.answered(framed(Kind.REPLY, {}))
+    second = opened(it.attester.due(it.seen, 1_050))
     assert (first.epoch, first.seq, second.seq) == (EPOCH, 1, 2)
     assert first.robot == worlds.RID
 
@@ -69,14 +71,14 @@ def test_a_snapshot_is_signed_with_epoch_and_growing_seq() -> None:
 def test_at_most_one_is_on_its_way_and_the_newest_wins() -> None:
     it = estimator()
     it.heard(reading(1_000), 1_000)
-    assert it.due(1_000) is not None
+    assert it.attester.due(it.seen, 1_000) is not None
     for at in (1_050, 1_100, 1_150):
         it.heard(reading(at, at="pharmacy" if at == 1_150 else "dock"), at)
-        assert it.due(at) is None
-    it.answered(framed(Kind.EVENT, {}))  # no answer
-    assert it.due(1_160) is None
-    it.answered(framed(Kind.REPLY, {}))
-    got = opened(it.due(1_160))
+        assert it.attester.due(it.seen, at) is None
+    it.attester.answered(framed(Kind.EVENT, {}))  # no answer
+    assert it.attester.due(it.seen, 1_160) is None
+    it.attester.answered(framed(Kind.REPLY, {}))
+    got = opened(it.attester.due(it.seen, 1_160))
     assert got.pose is not None
     assert (got.pose.x_mm, got.seq) == (4_000, 2)
 
@@ -86,30 +88,30 @@ def test_what_was_heard_grows_old_and_is_never_fresh_again() -> None:
     it.heard(reading(1_000), 1_020)  # it was 20 ms on its way
     ages = []
     for now in (1_020, 1_500, 9_000):
-        got = opened(it.due(now))
+        got = opened(it.attester.due(it.seen, now))
         assert got.pose is not None
         ages.append((got.pose.age_ms, got.readings["speed_mm_s"].age_ms))
-        it.answered(framed(Kind.REPLY, {}))
+        it.attester.answered(framed(Kind.REPLY, {}))
     assert ages == [(27, 20), (507, 500), (8_007, 8_000)]
 
 
 def test_readings_that_waited_in_a_buffer_are_as_old_as_they_are() -> None:
     it = estimator()
     it.heard(reading(1_000), 61_000)
-    got = opened(it.due(61_000))
+    got = opened(it.attester.due(it.seen, 61_000))
     assert got.readings["battery_permille"].age_ms == 60_000
 
 
 def test_the_clock_of_a_frame_may_have_gone_round() -> None:
     it = estimator()
     it.heard(reading(ID_MODULUS - 5), ID_MODULUS + 5)
-    assert opened(it.due(ID_MODULUS + 5)).readings["speed_mm_s"].age_ms == 10
+    assert opened(it.attester.due(it.seen, ID_MODULUS + 5)).readings["speed_mm_s"].age_ms == 10
 
 
 def test_what_claims_to_come_from_the_future_is_very_old() -> None:
     it = estimator()
     it.heard(reading(5_000), 1_000)
-    assert opened(it.due(5_001)).readings["speed_mm_s"].age_ms > 1_000_000_000
+    assert opened(it.attester.due(it.seen, 5_001)).readings["speed_mm_s"].age_ms > 1_000_000_000
 
 
 def test_the_rate_is_kept() -> None:
@@ -117,32 +119,32 @@ def test_the_rate_is_kept() -> None:
     sent = []
     for now in range(1_000, 2_000, 5):
         it.heard(reading(now), now)
-        if it.due(now) is not None:
+        if it.attester.due(it.seen, now) is not None:
             sent.append(now)
-            it.answered(framed(Kind.REPLY, {}))
+            it.attester.answered(framed(Kind.REPLY, {}))
     assert len(sent) == 10
 
 
 def test_a_refusal_is_returned_and_the_next_one_is_sent() -> None:
     it = estimator()
     it.heard(reading(1_000), 1_000)
-    it.due(1_000)
+    it.attester.due(it.seen, 1_000)
     fault = Fault(code="STATE_STALE", message="older", where="state.seq")
-    refusal = it.answered(framed(Kind.ERROR, fault))
+    refusal = it.attester.answered(framed(Kind.ERROR, fault))
     assert refusal is not None
     assert "older" in refusal.message
-    assert it.due(1_050) is not None
+    assert it.attester.due(it.seen, 1_050) is not None
 
 
 def test_a_gate_that_answers_nothing_is_overdue_until_it_hangs_up() -> None:
     it = estimator()
     it.heard(reading(1_000), 1_000)
-    it.due(1_000)
-    assert not it.is_overdue(1_000 + ANSWER_MS)
-    assert it.is_overdue(1_001 + ANSWER_MS)
-    it.hung_up()
-    assert not it.is_overdue(9_000)
-    assert opened(it.due(9_000)).seq == 2
+    it.attester.due(it.seen, 1_000)
+    assert not it.attester.is_overdue(1_000 + ANSWER_MS)
+    assert it.attester.is_overdue(1_001 + ANSWER_MS)
+    it.attester.hung_up()
+    assert not it.attester.is_overdue(9_000)
+    assert opened(it.attester.due(it.seen, 9_000)).seq == 2
 
 
 def test_another_robot_is_not_attested() -> None:
@@ -151,7 +153,7 @@ def test_another_robot_is_not_attested() -> None:
         it.heard(reading(1_000, rid=worlds.OTHER), 1_000)
     with pytest.raises(MalformedError):
         it.heard(framed(Kind.EVENT, {"robot": worlds.RID}), 1_000)
-    assert it.due(1_000) is None
+    assert it.attester.due(it.seen, 1_000) is None
 
 
 def test_a_robot_without_an_estimator_signs_nothing_and_still_sees() -> None:

@@ -7,13 +7,21 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec import UNSET
+from msgspec.structs import replace
 
 import worlds
 from authguard_r.client.driver import BOUNDS
-from authguard_r.client.greeting import Greeting
+from authguard_r.client.greeting import Greeting, Speaks
 from authguard_r.client.proof import MAX_WELCOME, Conversation, prove
 from authguard_r.core.encoding import Tag, b64
-from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
+from authguard_r.core.errors import (
+    AuthenticityError,
+    AuthGuardError,
+    MalformedError,
+    RefusedError,
+)
+from authguard_r.core.identifiers import Digest
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Fault, Kind, Renew, Welcome
 from unit.sim.desks import NONCE, framed, greeting, ticket, welcome
@@ -49,6 +57,26 @@ def test_the_gate_of_this_robot_is_believed() -> None:
 def test_nobody_else_is_believed(by: str | None, changes: dict[str, Any]) -> None:
     with pytest.raises((AuthenticityError, MalformedError)):
         prove(welcome(by, **changes), greeting(), nonce=NONCE, now=worlds.NOW)
+
+
+WORDS = {"site": Digest("s" * 43), "binding": Digest("b" * 43)}
+
+
+def test_a_gate_that_speaks_the_same_words_is_taken() -> None:
+    asks = replace(greeting(), speaks=Speaks(**WORDS))
+    assert prove(welcome(**WORDS), asks, nonce=NONCE, now=worlds.NOW).welcome.site == WORDS["site"]
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("site", "x" * 43), ("site", None), ("binding", "x" * 43), ("binding", UNSET)],
+)
+def test_a_gate_that_speaks_other_words_is_not_taken(word: str, said: object) -> None:
+    """What it releases would be rebuilt as something that nobody decided."""
+    asks = replace(greeting(), speaks=Speaks(**WORDS))
+    with pytest.raises(RefusedError, match="SITE_MISMATCH") as refused:
+        prove(welcome(**{**WORDS, word: said}), asks, nonce=NONCE, now=worlds.NOW)
+    assert refused.value.where == f"welcome.{word}"
 
 
 def test_a_gate_that_refuses_says_why() -> None:

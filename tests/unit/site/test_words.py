@@ -130,3 +130,17 @@ def test_a_broken_vocabulary_beside_words_is_refused_in_its_place() -> None:
 @pytest.mark.parametrize("data", [None, [], "words", 5])
 def test_data_that_is_no_site_comes_back_as_it_is(data: Any) -> None:
     assert with_words(data, where="x") == data
+
+
+def test_a_site_may_add_that_a_word_runs_beside_others_and_nothing_else() -> None:
+    """What two parts of a machine do to each other is known where the machine is described."""
+    word = msgspec.to_builtins(standard_words())["announce"]
+    assert not any(model.beside for model in standard_words().values())
+
+    def taken(**own: object) -> Any:
+        own_words = {"announce": {**word, "beside": True, **own}}
+        return with_words({"words": ["announce"], "vocabulary": own_words}, where="s")
+
+    assert taken()["vocabulary"]["announce"]["beside"] is True
+    with pytest.raises(MalformedError):
+        taken(privacy=1)

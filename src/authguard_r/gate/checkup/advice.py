@@ -63,6 +63,12 @@ class Code(StrEnum):
     STORE = "STORE"
     ANCHOR = "ANCHOR"
     DISK = "DISK"
+    ROS_MAP = "ROS_MAP"
+    ROS_SECURITY = "ROS_SECURITY"
+    ROS_KEYSTORE = "ROS_KEYSTORE"
+    ROS_CLOCK = "ROS_CLOCK"
+    ROS_RMW = "ROS_RMW"
+    ROS_TYPE = "ROS_TYPE"
 
 
 #: What one folder for everything cannot help; a demonstration is told of it and goes on.

@@ -89,6 +89,8 @@ def _peer_advice(peer: Peer, place: str, *, uid: int | None) -> Iterator[Advice]
 def _planner_advice(peer: Peer, who: str, place: str, *, uid: int | None) -> Iterator[Advice]:
     told = [(role, why, unsafe) for role, why in _NEVER.items() if role in peer.roles]
     told += [(role, why, warning) for role, why in _BETTER_NOT.items() if role in peer.roles]
+    if peer.mediates:  # the planners for which it asks are other users, as was signed
+        told = []
     for role, why, make in told:
         message = f"{who} is planner and {role}: {why}"
         yield make("users", Code.SHARED_USER, message, place=place, mend=_APART)

@@ -21,6 +21,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.normalize.dialects import Call
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.loop import Spinner
@@ -55,6 +56,21 @@ class Public(Struct, frozen=True, kw_only=True):
     log: Log
 
 
+def read_call(item: Mediated, message: Any) -> Call | MalformedError:
+    """Return the call that a planner's message is, or why it is none.
+
+    It is read on the thread of ROS: the event loop, which holds the robot, waits for no list.
+
+    Args:
+        item: what the map says of it.
+        message: untrusted.
+    """
+    try:
+        return call_of(item, plain_of(message, where=FORMS[item.kind].body))
+    except MalformedError as error:
+        return error
+
+
 class _Server(ActionServer):  # type: ignore[misc]
     """An action server that executes nothing: a goal is over when `finish` says so."""
 
@@ -74,9 +90,9 @@ class _Server(ActionServer):  # type: ignore[misc]
 class _Going:
     """One goal of a planner's, until it is over."""
 
-    def __init__(self, goal: Any) -> None:
+    def __init__(self, goal: Any, read: Call | MalformedError) -> None:
         loop = asyncio.get_running_loop()
-        self.goal = goal
+        self.goal, self.read = goal, read
         self.taken: asyncio.Future[bool] = loop.create_future()
         self.handle: asyncio.Future[Any] = loop.create_future()
         self.release: Release | None = None
@@ -118,10 +134,16 @@ class ActionInlet:
             result_timeout=RESULT_S,
         )
 
+    @property
+    def is_idle(self) -> bool:
+        """True while no goal that was accepted waits for its end."""
+        return not self._running and not self._unbound
+
     # on the thread of ROS
 
     async def _asked(self, goal: Any) -> GoalResponse:
-        answer = await self._spinner.later(partial(self._decided, goal), GoalResponse.REJECT)
+        decide = partial(self._decided, goal, read_call(self._item, goal))
+        answer = await self._spinner.later(decide, GoalResponse.REJECT)
         return answer or GoalResponse.REJECT
 
     def _canceled(self, handle: Any) -> CancelResponse:
@@ -131,8 +153,8 @@ class ActionInlet:
 
     # in the event loop
 
-    async def _decided(self, goal: Any) -> GoalResponse:
-        going = _Going(goal)
+    async def _decided(self, goal: Any, read: Call | MalformedError) -> GoalResponse:
+        going = _Going(goal, read)
         self._spinner.begin(self._run(going))
         if not await going.taken:
             return GoalResponse.REJECT
@@ -177,16 +199,14 @@ class ActionInlet:
 
     async def _propose(self, going: _Going) -> Asked | None:
         """Return what became of a proposal; None: nobody knows, or nothing was decided."""
-        proposals, tool = self._public.proposals, FORMS[self._item.kind].tool
-        try:
-            call = call_of(self._item, plain_of(going.goal, where=FORMS[self._item.kind].body))
-        except MalformedError as error:
+        proposals, read = self._public.proposals, going.read
+        if isinstance(read, MalformedError):
             going.answer(is_taken=False)
-            self._say(error)
-            await proposals.unreadable(tool, error)
+            self._say(read)
+            await proposals.unreadable(FORMS[self._item.kind].tool, read)
             return None
         try:
-            return await proposals.ask(call, began=going.began)
+            return await proposals.ask(read, began=going.began)
         except LostError as error:
             self._say(error.error)
         except AuthGuardError as error:

@@ -116,8 +116,8 @@ class Actuator:
             with self._lock:
                 now_ns = time.monotonic_ns()
                 if self._latch.look(now_ns):
-                    self._say()
                     self._stand()
+                    self._say()
                 elif not self._latch.is_open and now_ns - self._told_ns >= AGAIN_MS * MS:
                     self._stand()
 

@@ -35,6 +35,8 @@ from authguard_r.site.model import Site
 
 #: Between two tries to stop the robot, in seconds.
 AGAIN_S = 0.5
+#: Actions that run at once, at most.
+MOST = 4
 #: The ends look at their body every 10 ms; without a look for so long they are not alive.
 ALIVE_MS = 80
 
@@ -55,6 +57,22 @@ class Means(Struct, frozen=True, kw_only=True):
     binder: Binder
     rebuilder: Rebuilder
     releases: Releases
+
+
+class _Doing(Struct, frozen=True, kw_only=True):
+    """A released action that was begun.
+
+    Args:
+        action: it.
+        release: it, on its way.
+        beside: it may run beside another.
+        stream: publishes its velocities; None of what is no stream.
+    """
+
+    action: Action
+    release: Release
+    beside: bool
+    stream: StreamOutlet | None
 
 
 class RosBody:
@@ -78,10 +96,11 @@ class RosBody:
         self._means = means
         self._changed = changed
         self._log = log
-        self._release: Release | None = None
-        self._action: Action | None = None  # of a stream that runs
+        self._doing: dict[Digest, _Doing] = {}  # and what ended since the last look
         self._stopping: asyncio.Task[None] | None = None
         self._seen_ms = mono_ms()
+        #: False while planners are not served: then nothing begins, whoever released it
+        self.is_served = False
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -92,6 +111,17 @@ class RosBody:
     def stands(self) -> bool:
         """True while nothing is being stopped: what was stopped said that it stands."""
         return self._stopping is None
+
+    def has_room(self, action: Action) -> bool:
+        """Return True while there is room, and all but one may run `beside`, as the site says."""
+        runs = self._running()
+        alone = [one for one in runs if not one.beside]
+        return len(runs) < MOST and (self._may_join(action) or not alone)
+
+    @property
+    def running(self) -> str:
+        """What runs, by its names in the map; empty: nothing."""
+        return ", ".join(sorted(one.release.key for one in self._running()))
 
     def begin(self, action: Action, ticket: Digest) -> Flight:
         """Send it.
@@ -107,6 +137,8 @@ class RosBody:
             raise
 
     def _begun(self, action: Action, ticket: Digest) -> Flight:
+        if not self.is_served:
+            raise ControllerError("planners are not served")
         if not self.stands:
             raise ControllerError("the robot is being stopped, and nobody says that it stands")
         try:
@@ -119,52 +151,58 @@ class RosBody:
         if not outlet.is_there:
             raise ControllerError(f"the robot's part of `{key}` is not there")
         kind = self._means.site.vocabulary[action.type]
-        release = Release(kind, key)
-        duration_ms = action.params.get(ParameterId(DURATION), 0)
+        release = Release(kind, key, str(action.type))
         outlet.begin(
             Order(
                 release=release,
                 message=message,
                 moves=kind.moves,
                 wanted=wanted,
-                duration_ms=duration_ms,
+                duration_ms=action.params.get(ParameterId(DURATION), 0),
             )
         )
-        self._release = release
-        self._action = action if isinstance(outlet, StreamOutlet) else None
-        if isinstance(outlet, StreamOutlet):
-            outlet.steer(message, _speed(action))
+        stream = outlet if isinstance(outlet, StreamOutlet) else None
+        self._doing = {one: doing for one, doing in self._doing.items() if doing.release.runs}
+        self._doing[ticket] = _Doing(
+            action=action, release=release, beside=self._may_join(action), stream=stream
+        )
+        if stream is not None:
+            stream.steer(message, _speed(action))
         self._means.releases.began(ticket, release)
         return release.flight
 
     def streams(self, action: Action) -> bool:
         """Return True for velocities that run, and are published as they come."""
-        return self._action is not None and action == self._action
+        return any(one.stream is not None and one.action == action for one in self._running())
 
-    def steer(self, params: Mapping[str, int]) -> None:
+    def steer(self, ticket: Digest, params: Mapping[str, int]) -> None:
         """Publish these velocities at once; what they do not name is zero."""
-        action, release = self._action, self._release
-        if action is None or release is None or not release.runs or not self.stands:
+        doing = self._doing.get(ticket)
+        if doing is None or doing.stream is None or not doing.release.runs or not self.stands:
             return
-        outlet = self.outlets[release.key]
-        if not isinstance(outlet, StreamOutlet):  # pragma: no cover - only a stream's is kept
-            return
-        outlet.sampled()
+        doing.stream.sampled()
+        action = doing.action
         given = {name: params.get(name, 0) for name in action.params if name != DURATION}
         sample = replace(action, params={**action.params, **given})
         try:
             _, call = self._rebuilt(sample)
-            outlet.steer(self._message(release.key, call), _speed(sample))
+            doing.stream.steer(self._message(doing.release.key, call), _speed(sample))
         except MalformedError:
-            outlet.rest()
+            doing.stream.rest()
 
-    def brake(self, outcome: Outcome = Outcome.ABORTED) -> None:
+    def close(self, ticket: Digest) -> None:
+        """Say zero; the stream has succeeded once the robot stands."""
+        doing = self._doing.get(ticket)
+        if doing is not None and doing.stream is not None:
+            doing.stream.close()
+
+    def brake(self) -> None:
         """Stop whatever runs, whoever began it; a second time changes nothing."""
         if self._stopping is None:
             for outlet in self.outlets.values():
                 if isinstance(outlet, StreamOutlet):
                     outlet.rest()
-            self._stopping = asyncio.ensure_future(self._stop(outcome))
+            self._stopping = asyncio.ensure_future(self._stop())
 
     def pass_time(self, ms: int) -> None:  # noqa: ARG002 - the clock says it
         """Look at the clock."""
@@ -178,7 +216,7 @@ class RosBody:
 
     def astray(self) -> None:
         """Stop a robot of which nobody knows what it does."""
-        self.brake(Outcome.UNKNOWN)
+        self.brake()
         self._changed()
 
     async def at_rest(self, within_s: float) -> bool:
@@ -195,18 +233,36 @@ class RosBody:
         if self._stopping is not None:
             self._stopping.cancel()
 
-    async def _stop(self, outcome: Outcome) -> None:
+    async def _stop(self) -> None:
         """Stop every outlet, until each says that nothing runs."""
-        while not all(await asyncio.gather(*(one.stop() for one in self.outlets.values()))):
+        while not all(await asyncio.gather(*map(self._stopped, tuple(self.outlets)))):
             self._ended(Outcome.UNKNOWN)
             await asyncio.sleep(AGAIN_S)
         self._stopping = None
-        self._ended(outcome)
+        self._ended(Outcome.ABORTED)
+
+    async def _stopped(self, key: str) -> bool:
+        """Stop one outlet; whatever fails is not stopped, and keeps nobody from the others."""
+        try:
+            is_over, message = await self.outlets[key].stop(), "nobody says that it is over"
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is tried again
+            is_over, message = False, f"{type(error).__name__}: {error}"
+        if not is_over:
+            self._log.say("not stopped", key, message=message)
+        return is_over
 
     def _ended(self, outcome: Outcome) -> None:
-        if self._release is not None:
-            self._release.end(outcome)
+        for doing in self._running():
+            doing.release.end(outcome)
         self._changed()
+
+    def _running(self) -> tuple[_Doing, ...]:
+        return tuple(one for one in self._doing.values() if one.release.runs)
+
+    def _may_join(self, action: Action) -> bool:
+        """Return True of what the site lets run beside another; velocities have their one topic."""
+        kind = self._means.site.vocabulary[action.type]
+        return kind.beside and not velocities(kind)
 
     def _rebuilt(self, action: Action) -> tuple[str, Call]:
         """Return what carries an action, by its name in the map, and the call that it is."""

@@ -26,6 +26,7 @@ from authguard_r.ros.latch import MS, Why
 from authguard_r.ros.map import Kind, RosMap, read_map
 from authguard_r.ros.nodes.heartbeat import ALL, PERIOD_MS, Told, listen, new_latch, steady
 from authguard_r.ros.nodes.process import run_node
+from authguard_r.ros.rights import DEADMAN_NODE
 
 #: A heartbeat that was never heard counts as lost after so long: nodes find one another slowly.
 START_MS = 3_000
@@ -166,11 +167,11 @@ class Deadman:
     def _lose(self, why: Why) -> None:
         """Ask every server at once."""
         self._is_lost = True
-        self._log.say("lost", "heartbeat", why=why)
         now_ns = time.monotonic_ns()
         for canceler in self._cancelers:
             canceler.lose(now_ns)
         self._ask(now_ns)
+        self._log.say("lost", "heartbeat", why=why)
 
     def _ask(self, now_ns: int) -> None:
         for canceler in self._cancelers:
@@ -185,7 +186,7 @@ def main(words: list[str] | None = None) -> int:
         return ros, ros.enclaves.deadman, partial(_built, ros)
 
     given = sys.argv[1:] if words is None else words
-    return run_node("authguard_deadman", given, ("MAP",), ready)
+    return run_node(DEADMAN_NODE.removeprefix("/"), given, ("MAP",), ready)
 
 
 def _built(ros: RosMap, node: Node) -> Deadman:

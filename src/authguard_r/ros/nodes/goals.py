@@ -27,6 +27,8 @@ from authguard_r.tools.server import Answer
 TAKE_S = 2.0
 #: A goal that nobody answered for so long, of a server that answers, never arrived, in seconds.
 _LOST_S = 5.0
+#: Between two looks whether the server is there, in seconds.
+_LOOK_S = 0.1
 _ACTIVE = {
     GoalStatus.STATUS_ACCEPTED,
     GoalStatus.STATUS_EXECUTING,
@@ -37,6 +39,22 @@ _OUTCOMES = {
     GoalStatus.STATUS_CANCELED: Outcome.ABORTED,
     GoalStatus.STATUS_ABORTED: Outcome.FAILED,
 }
+
+
+class _Goal:
+    """A goal of ours, until it is over."""
+
+    def __init__(self, order: Order) -> None:
+        self.order = order
+        self.id = UUID(uuid=list(uuid4().bytes))
+        self.asked_s = asyncio.get_running_loop().time()
+        self.is_taken = False
+
+    @property
+    def is_lost(self) -> bool:
+        """True of one that a server which answers has never answered."""
+        waited_s = asyncio.get_running_loop().time() - self.asked_s
+        return not self.is_taken and waited_s > _LOST_S
 
 
 class ActionOutlet:
@@ -76,95 +94,118 @@ class ActionOutlet:
         ]
         self._active: dict[bytes, Any] = {}  # the ids of goals that run, as their server says
         self._news = asyncio.Event()
-        self._order: Order | None = None  # until it is over
-        self._goal = UUID()  # its id
-        self._is_taken = False
-        self._asked_s = 0.0
+        self._goals: dict[bytes, _Goal] = {}
+        self._stopping = 0
+        self._is_settled = True  # whoever makes it stops it before anything begins
+        self._settling: asyncio.Task[None] | None = None
+        self._looked_s = 0.0
 
     @property
     def is_there(self) -> bool:
-        """True while somebody serves it, all of it."""
+        """True while somebody serves it, all of it, and runs nothing that we do not know of."""
         clients = (self._sender, self._canceler, self._asker)
-        return all(client.service_is_ready() for client in clients) and all(
-            topic.get_publisher_count() > 0 for topic in self._heard
+        return (
+            self._is_settled
+            and all(client.service_is_ready() for client in clients)
+            and all(topic.get_publisher_count() > 0 for topic in self._heard)
         )
 
     def begin(self, order: Order) -> None:
         """Send the goal."""
-        self._order, self._is_taken = order, False
-        self._goal = UUID(uuid=list(uuid4().bytes))
-        self._asked_s = asyncio.get_running_loop().time()
-        self._robot.spinner.begin(self._attend(order, self._goal))
+        goal = _Goal(order)
+        self._goals[bytes(goal.id.uuid)] = goal
+        self._robot.spinner.begin(self._attend(goal))
 
     def pass_time(self) -> None:
-        """Do nothing: it takes its time."""
+        """Look whether the server was away: what it ran before, nobody knows when it is back."""
+        now_s = asyncio.get_running_loop().time()
+        if now_s - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = now_s
+        if not self._canceler.service_is_ready():
+            self._is_settled = False
+        elif not self._is_settled and (self._settling is None or self._settling.done()):
+            self._settling = self._robot.spinner.begin(self._settle())
+
+    async def _settle(self) -> None:
+        """Cancel whatever a server runs that has just come, or come back."""
+        try:
+            is_over = await self.stop()
+        except Exception:  # noqa: BLE001 - whatever it is, nobody knows what the server does
+            is_over = False
+        if not is_over:
+            self._robot.astray()
 
     async def stop(self) -> bool:
         """Cancel every goal, and wait until the server has said of each that it is over."""
         if not self._canceler.service_is_ready():
-            return self._order is None
+            return not self._goals
+        self._stopping += 1
         try:
             async with asyncio.timeout(STOP_S):
                 said = await self._ask(self._canceler, CancelGoal.Request())
                 going = dict(self._active)
                 going |= {bytes(one.goal_id.uuid): one.goal_id for one in said.goals_canceling}
-                if self._order is not None and self._is_taken:
-                    going[bytes(self._goal.uuid)] = self._goal
+                going |= {key: goal.id for key, goal in self._goals.items() if goal.is_taken}
                 await asyncio.gather(*map(self._ended, going.values()))
-                while self._order is not None and not self._is_lost():
+                while not all(goal.is_lost for goal in self._goals.values()):
                     self._news.clear()
                     await self._news.wait()
         except TimeoutError:
             return False
-        self._order = None
+        finally:
+            self._stopping -= 1
+        self._goals.clear()
+        self._is_settled = True
         return True
 
-    async def _attend(self, order: Order, goal: Any) -> None:
+    async def _attend(self, goal: _Goal) -> None:
         """Carry it out; what goes wrong here leaves nobody who knows what the robot does."""
         try:
-            await self._carry(order, goal)
+            await self._carry(goal)
         except Exception:  # noqa: BLE001 - whatever it is
-            order.release.end(Outcome.UNKNOWN)
+            goal.order.release.end(Outcome.UNKNOWN)
             self._robot.astray()
 
-    async def _carry(self, order: Order, goal: Any) -> None:
+    async def _carry(self, goal: _Goal) -> None:
         """Send the goal, and take note of what the server says of it."""
-        release = order.release
-        request = self._impl.SendGoalService.Request(goal_id=goal, goal=order.message)
+        release = goal.order.release
+        request = self._impl.SendGoalService.Request(goal_id=goal.id, goal=goal.order.message)
         asked = self._robot.spinner.begin(self._ask(self._sender, request))
         done, _ = await asyncio.wait({asked}, timeout=TAKE_S)
         if not done:
             release.end(Outcome.UNKNOWN)
             self._robot.astray()
         if not (await asked).accepted:
-            self._over(order, Outcome.NOT_STARTED)
+            self._over(goal, Outcome.NOT_STARTED)
             return
-        release.cancel = partial(self._cancel, goal)
-        if not release.runs:  # nobody waits for it any more
+        release.cancel = partial(self._cancel, goal.id)
+        if self._stopping or not release.runs:  # it came too late to be canceled with the rest
             release.cancel()
-        self._is_taken = goal is self._goal
+        goal.is_taken = True
         release.take()
-        await self._ended(goal)
+        await self._ended(goal.id)
 
-    async def _ended(self, goal: Any) -> None:
+    async def _ended(self, goal_id: Any) -> None:
         """Return once the server says that a goal is over, or that it knows of none such."""
-        said = await self._ask(self._asker, self._impl.GetResultService.Request(goal_id=goal))
-        self._active.pop(bytes(goal.uuid), None)
-        order = self._order
-        if order is None or goal is not self._goal:  # the first answer counts
+        said = await self._ask(self._asker, self._impl.GetResultService.Request(goal_id=goal_id))
+        key = bytes(goal_id.uuid)
+        self._active.pop(key, None)
+        goal = self._goals.get(key)
+        if goal is None:  # the first answer counts
             return
+        release = goal.order.release
         outcome = _OUTCOMES.get(said.status, Outcome.UNKNOWN)
-        told = order.release.answered(said.result, status=said.status)
+        told = release.answered(said.result, status=said.status)
         answer = Answer(is_error=False, structured=fields_of(said.result))
-        if outcome is Outcome.SUCCEEDED and not answer.is_done(order.wanted):
+        if outcome is Outcome.SUCCEEDED and not answer.is_done(goal.order.wanted):
             outcome = Outcome.FAILED
-        order.release.end(outcome, told)
-        self._over(order, outcome)
+        release.end(outcome, told)
+        self._over(goal, outcome)
 
-    def _over(self, order: Order, outcome: Outcome) -> None:
-        order.release.end(outcome)
-        if self._order is order:
-            self._order = None
+    def _over(self, goal: _Goal, outcome: Outcome) -> None:
+        goal.order.release.end(outcome)
+        self._goals.pop(bytes(goal.id.uuid), None)
         self._news.set()
         self._robot.changed()
 
@@ -178,8 +219,9 @@ class ActionOutlet:
 
     def _fed(self, message: Any) -> None:
         """Take in how a goal of ours goes; the first word may come before its acceptance."""
-        if self._order is not None and message.goal_id == self._goal:
-            self._order.release.fed(message.feedback)
+        goal = self._goals.get(bytes(message.goal_id.uuid))
+        if goal is not None:
+            goal.order.release.fed(message.feedback)
 
     def _told(self, message: Any) -> None:
         """Take in what the server says of its goals."""
@@ -188,8 +230,3 @@ class ActionOutlet:
             for one in message.status_list
             if one.status in _ACTIVE
         }
-
-    def _is_lost(self) -> bool:
-        """True of a goal that a server which answers has never answered."""
-        waited_s = asyncio.get_running_loop().time() - self._asked_s
-        return not self._is_taken and waited_s > _LOST_S

@@ -65,7 +65,7 @@ class Order(Struct, frozen=True, kw_only=True):
 
 
 class Outlet(Protocol):
-    """Carries out one kind of thing, one at a time."""
+    """Carries out one kind of thing; what moves the robot one at a time."""
 
     @property
     def kind(self) -> Any:
@@ -107,9 +107,8 @@ class ServiceOutlet:
         self.kind = kind.Request
         self._robot = robot
         self._client = robot.spinner.node.create_client(kind, name, callback_group=robot.group)
-        self._order: Order | None = None
-        self._idle = asyncio.Event()
-        self._idle.set()
+        self._orders: dict[Release, Order] = {}  # until they are answered
+        self._news = asyncio.Event()
 
     @property
     def is_there(self) -> bool:
@@ -118,8 +117,7 @@ class ServiceOutlet:
 
     def begin(self, order: Order) -> None:
         """Call it."""
-        self._order = order
-        self._idle.clear()
+        self._orders[order.release] = order
         self._robot.spinner.begin(self._carry(order))
 
     async def _carry(self, order: Order) -> None:
@@ -135,19 +133,21 @@ class ServiceOutlet:
             told = release.answered(message)
             done = answer.is_done(order.wanted)
             release.end(Outcome.SUCCEEDED if done else Outcome.FAILED, told)
-        self._idle.set()
+        del self._orders[release]
+        self._news.set()
         self._robot.changed()
 
     async def stop(self) -> bool:
         """Wait for what was called: a service cannot be called off."""
-        order = self._order
         try:
-            await asyncio.wait_for(self._idle.wait(), STOP_S)
+            async with asyncio.timeout(STOP_S):
+                while self._orders:
+                    self._news.clear()
+                    await self._news.wait()
         except TimeoutError:
-            if order is not None:
-                order.release.end(Outcome.UNKNOWN)
-            return order is None or not order.moves
-        return True
+            for release in self._orders:
+                release.end(Outcome.UNKNOWN)
+        return not any(order.moves for order in self._orders.values())
 
     def pass_time(self) -> None:
         """Do nothing: it takes its time."""

@@ -10,21 +10,26 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from authguard_r.client.link import Log
-from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.trust import Trust
 from authguard_r.ros.map import RosMap
 from authguard_r.ros.security import require_security
 
+RCLError = rclpy_implementation.RCLError
 #: What a process ends with: its words, or what they name, are wrong.
 WRONG = 2
 #: The word for a bench: no DDS security is needed.
@@ -39,6 +44,40 @@ class Closing(Protocol):
     def close(self) -> None:
         """End it."""
         ...
+
+
+@contextmanager
+def made_by_ros(enclave: str) -> Iterator[None]:
+    """Say why ROS 2 makes no node: it has no security, or no folder for its logs.
+
+    Args:
+        enclave: which one the node would be in.
+
+    Raises:
+        EnvironmentFault: it makes none.
+    """
+    try:
+        yield
+    except RCLError as error:
+        raise EnvironmentFault(
+            f"ROS 2 makes no node in `{enclave}`: {error}",
+            reason=Reason.STORE_UNAVAILABLE,
+            where="rclpy",
+        ) from error
+
+
+def require_bench(trust: Trust, *, demo: bool) -> None:
+    """Require that a process without DDS security trusts a demonstration alone.
+
+    Raises:
+        EnvironmentFault: it would stand before a robot in earnest.
+    """
+    if demo and not trust.demo:
+        raise EnvironmentFault(
+            f"expected no `{DEMO}`: the trust root is no demonstration's",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=DEMO,
+        )
 
 
 def run_node(
@@ -80,33 +119,59 @@ def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], Closing]
     # not those of rclpy: they take the context away before a last word is said
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: over.set())
-    context = Context()
-    rclpy.init(
-        args=["--ros-args", "--enclave", enclave],
-        context=context,
-        domain_id=ros.domain,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
-    node = Node(
-        name,
-        context=context,
-        use_global_arguments=False,
-        enable_rosout=False,
-        start_parameter_services=False,
-        parameter_overrides=[Parameter("start_type_description_service", value=False)],
-    )
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        work = build(node)
+    with made_node(name, ros, enclave) as node:
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
         try:
-            sys.stdout.write("ready\n")
-            sys.stdout.flush()
-            while not over.is_set():
-                executor.spin_once(timeout_sec=LOOK_S)
+            work = build(node)
+            try:
+                sys.stdout.write("ready\n")
+                sys.stdout.flush()
+                while not over.is_set():
+                    executor.spin_once(timeout_sec=LOOK_S)
+            finally:
+                work.close()
         finally:
-            work.close()
+            executor.shutdown()
+
+
+@contextmanager
+def made_node(name: str, ros: RosMap, enclave: str) -> Iterator[Node]:
+    """Yield a node in the map's domain and an enclave, which takes no words from anybody."""
+    with ros_context(ros, enclave) as context:
+        node = plain_node(name, context, enclave)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+
+
+@contextmanager
+def ros_context(ros: RosMap, enclave: str) -> Iterator[Context]:
+    """Yield a place in ROS: the map's domain, and an enclave."""
+    context = Context()
+    with made_by_ros(enclave):
+        rclpy.init(
+            args=["--ros-args", "--enclave", enclave],
+            context=context,
+            domain_id=ros.domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    try:
+        yield context
     finally:
-        executor.shutdown()
-        node.destroy_node()
         context.try_shutdown()
+
+
+def plain_node(name: str, context: Context, enclave: str, *, namespace: str = "") -> Node:
+    """Return a node that serves no parameters, says nothing to `/rosout`, and hears no clock."""
+    with made_by_ros(enclave):
+        return Node(
+            name,
+            namespace=namespace,
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )

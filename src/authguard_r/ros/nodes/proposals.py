@@ -7,14 +7,16 @@ one was shown, all of them have seen. Spec page: docs/spec/ros.md#ends
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import Any
 
 from authguard_r.client import AsyncGateClient
 from authguard_r.client.keeping import GatePlace
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
+from authguard_r.normalize.bind import UNTOLD
 from authguard_r.normalize.dialects import Call
 from authguard_r.ros.nodes.releases import Release, Releases
 from authguard_r.tools.planner import Asked, Planner
@@ -67,13 +69,7 @@ class Proposals:
             AuthGuardError: nothing was decided.
             LostError: the gate went while it was asked.
         """
-        planner = next((one for one in self._planners if not one.turn.locked()), None)
-        if planner is None:
-            raise EnvironmentFault(
-                "too many proposals are under way", reason=Reason.BUSY, where="proposal"
-            )
-        tickets: list[str] = []
-        async with planner.turn:
+        async with self._turn() as (planner, tickets):
             gate = await planner.connected()
 
             def told(step: dict[str, Any]) -> None:
@@ -84,19 +80,65 @@ class Proposals:
                     if through is not None:
                         through(gate, ticket)
 
+            return await planner.propose(call.tool, call.arguments, told=told)
+
+    async def plan(
+        self,
+        data: bytes,
+        *,
+        told: Callable[[dict[str, Any]], None],
+        began: Callable[[int, Release], None],
+    ) -> dict[str, Any]:
+        """Propose a plan as it was written; return the gate's answer once it has ended.
+
+        Args:
+            data: untrusted.
+            told: called with each thing that the gate tells before the answer.
+            began: called with a step and what was released for it, when that begins.
+
+        Raises:
+            EnvironmentFault: as many proposals as there may be are under way (`BUSY`).
+            AuthGuardError: nothing was decided.
+            LostError: the gate went while it was asked.
+        """
+        async with self._turn() as (planner, tickets):
+
+            def hear(item: dict[str, Any]) -> None:
+                told(item)
+                ticket = item["ticket"]
+                if ticket not in tickets:
+                    tickets.append(ticket)
+                    self._releases.when(ticket, partial(began, item["step"]))
+
+            return await planner.plan(data, told=hear)
+
+    @asynccontextmanager
+    async def _turn(self) -> AsyncIterator[tuple[Planner, list[str]]]:
+        """Yield a connection that is free, and a list for the tickets that it is told.
+
+        Raises:
+            EnvironmentFault: none is (`BUSY`).
+        """
+        planner = next((one for one in self._planners if not one.turn.locked()), None)
+        if planner is None:
+            raise EnvironmentFault(
+                "too many proposals are under way", reason=Reason.BUSY, where="proposal"
+            )
+        tickets: list[str] = []
+        async with planner.turn:
             try:
-                return await planner.propose(call.tool, call.arguments, told=told)
+                yield planner, tickets
             finally:
                 for ticket in tickets:
                     self._releases.forget(ticket)
 
-    async def note(self, texts: Iterable[str]) -> None:
-        """Tell the gate what planners are about to see, as the least trusted of all.
+    async def note(self, texts: Iterable[str], channel: str = UNTOLD) -> None:
+        """Tell the gate what planners are about to see; without a channel, as the least trusted.
 
         Raises:
             AuthGuardError: it did not take note.
         """
-        await self._notes.note(texts)
+        await self._notes.note(texts, channel)
 
     async def unreadable(self, tool: str, error: AuthGuardError) -> None:
         """Hand in that a message was none that can be read: the gate refuses it, and logs that.

@@ -31,10 +31,11 @@ class Release:
     Args:
         kind: the action's type.
         key: which mediated thing carries it out, by its name in the map.
+        name: the type's name.
     """
 
-    def __init__(self, kind: ActionModel, key: str) -> None:
-        self.key = key
+    def __init__(self, kind: ActionModel, key: str, name: str = "") -> None:
+        self.key, self.name = key, name
         self.flight = ToolFlight(kind)
         #: whether the robot's own server took it
         self.taken: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
@@ -59,6 +60,7 @@ class Release:
         """Keep a feedback for the planner; what it does not take is dropped, the oldest first."""
         if self.feedback.full():
             self.feedback.get_nowait()
+            self.feedback.task_done()  # else nobody would ever see the rest to its end
         self.feedback.put_nowait(feedback)
 
     def answered(self, message: Any, *, status: int | None = None) -> Told:

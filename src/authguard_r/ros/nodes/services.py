@@ -13,12 +13,12 @@ from typing import Any
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.ros.calls import FORMS, call_of
+from authguard_r.normalize.dialects import Call
+from authguard_r.ros.calls import FORMS
 from authguard_r.ros.map import Mediated
-from authguard_r.ros.nodes.actions import Public
+from authguard_r.ros.nodes.actions import Public, read_call
 from authguard_r.ros.nodes.proposals import code_of
 from authguard_r.ros.nodes.releases import Release
-from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.planner import Asked, LostError
 
 _DEPTH = 10
@@ -51,12 +51,13 @@ class ServiceInlet:
 
     async def _asked(self, request: Any, _: Any) -> Any:
         silence: Any = _SILENCE
-        found = await self._public.spinner.later(partial(self._answered, request), silence)
+        answer = partial(self._answered, read_call(self._item, request))
+        found = await self._public.spinner.later(answer, silence)
         return _SILENCE if found is None else found
 
-    async def _answered(self, request: Any) -> Any:
+    async def _answered(self, read: Call | MalformedError) -> Any:
         found: list[Release] = []
-        code, asked = await propose(self._public, self._item, request, found)
+        code, asked = await propose(self._public, self._item, read, found)
         if asked is not None and asked.results and found and found[0].key == self._key:
             answer = found[0].answer
             return self._refusal(Reason.INPUT_TOO_LARGE) if answer is None else answer
@@ -86,41 +87,38 @@ class MessageInlet:
     def __init__(self, public: Public, key: str, item: Mediated, kind: Any) -> None:
         self._public, self._key, self._item = public, key, item
         public.spinner.node.create_subscription(
-            kind,
-            item.public,
-            partial(public.spinner.soon, self._heard),
-            _DEPTH,
-            callback_group=public.group,
+            kind, item.public, self._came, _DEPTH, callback_group=public.group
         )
 
-    def _heard(self, message: Any) -> None:
-        self._public.spinner.begin(self._propose(message))
+    def _came(self, message: Any) -> None:
+        """Take a message on the thread of ROS."""
+        self._public.spinner.soon(self._heard, read_call(self._item, message))
 
-    async def _propose(self, message: Any) -> None:
-        code, asked = await propose(self._public, self._item, message, [])
+    def _heard(self, read: Call | MalformedError) -> None:
+        self._public.spinner.begin(self._propose(read))
+
+    async def _propose(self, read: Call | MalformedError) -> None:
+        code, asked = await propose(self._public, self._item, read, [])
         if asked is None or asked.execution != "succeeded":
             self._public.log.say("refused", self._key, reason=str(code))
 
 
 async def propose(
-    public: Public, item: Mediated, message: Any, found: list[Release]
+    public: Public, item: Mediated, read: Call | MalformedError, found: list[Release]
 ) -> tuple[str, Asked | None]:
     """Propose what a planner's message is; return why it did not succeed, and what became of it.
 
     Args:
         public: the node.
         item: what the map says of it.
-        message: untrusted.
+        read: the call that it is, untrusted, or why it is none.
         found: takes what was released for it.
     """
-    form = FORMS[item.kind]
+    if isinstance(read, MalformedError):
+        public.spinner.begin(public.proposals.unreadable(FORMS[item.kind].tool, read))
+        return str(read.reason), None
     try:
-        call = call_of(item, plain_of(message, where=form.body))
-    except MalformedError as error:
-        public.spinner.begin(public.proposals.unreadable(form.tool, error))
-        return str(error.reason), None
-    try:
-        asked = await public.proposals.ask(call, began=found.append)
+        asked = await public.proposals.ask(read, began=found.append)
     except LostError as error:
         return str(error.error.reason), None
     except AuthGuardError as error:

@@ -106,7 +106,7 @@ class StreamInlet:
 
         def through(gate: AsyncGateClient, ticket: str) -> None:
             stream = Steering(gate, Digest(ticket))
-            steering.append(self._public.spinner.begin(self._steer(stream, tuple(first))))
+            steering.append(self._public.spinner.begin(self._steer(stream, first)))
 
         code = ""
         try:
@@ -123,13 +123,15 @@ class StreamInlet:
             self._paused_s = self._loop.time()
             self._public.log.say("refused", self._key, reason=code)
 
-    async def _steer(self, stream: Steering, names: tuple[str, ...]) -> None:
+    async def _steer(self, stream: Steering, first: dict[str, int]) -> None:
         """Send on what comes, as long as something comes; then end the stream."""
         try:
+            await stream.sample(first)  # so that its silence counts, too
+            await asyncio.sleep(GAP_S)
             while self._loop.time() - self._heard_s < SILENT_S:
                 while self._waiting:
                     sample = self._waiting.popleft()
-                    await stream.sample(sample or dict.fromkeys(names, 0))
+                    await stream.sample(sample or dict.fromkeys(first, 0))
                     await asyncio.sleep(GAP_S)
                 self._news.clear()
                 with suppress(TimeoutError):

@@ -8,6 +8,7 @@ only while the gate's ends are alive. Spec page: docs/spec/ros.md#streams
 from __future__ import annotations
 
 import asyncio
+import threading
 from typing import Any
 
 from authguard_r.client.link import mono_ms
@@ -41,7 +42,8 @@ class StreamOutlet:
         self._speed_mm_s = 0  # the highest since it stood
         self._order: Order | None = None
         self._ends_ms = 0
-        self._is_sampled = self._is_silent = False
+        self._is_sampled = self._is_closing = self._is_silent = False
+        self._turn = threading.Lock()  # what was said before is not said again after zero
         self._stood_ms = mono_ms()
         node = robot.spinner.node
         qos = actuation_qos()
@@ -60,7 +62,7 @@ class StreamOutlet:
 
     def begin(self, order: Order) -> None:
         """Take the order; `steer` says its first velocity."""
-        self._order, self._is_sampled = order, False
+        self._order, self._is_sampled, self._is_closing = order, False, False
         self._ends_ms = mono_ms() + order.duration_ms
         order.release.take()
 
@@ -71,23 +73,26 @@ class StreamOutlet:
             message: rebuilt from what was authorized.
             speed_mm_s: how fast that is; 0: it stands.
         """
-        if not speed_mm_s:
+        if not speed_mm_s or self._is_closing:
             self.rest()
             return
         self._speed_mm_s = max(self._speed_mm_s, speed_mm_s)
-        self._message = message
-        self._publisher.publish(message)
+        self._say(message)
 
     def sampled(self) -> None:
         """Note that it is steered: from now on it does not end by itself in time."""
         self._is_sampled = True
 
+    def close(self) -> None:
+        """Say zero; what was ordered has succeeded once it stands."""
+        self._is_closing = True
+        self.pass_time()
+
     def rest(self) -> None:
         """Say zero at once; it stands after the time that it needs to brake."""
         if self._message is not self._zero:
-            self._message = self._zero
             self._stood_ms = mono_ms() + braking_ms(self._profile, self._speed_mm_s)
-        self._publisher.publish(self._zero)
+        self._say(self._zero)
 
     async def stop(self) -> bool:
         """Say zero, and wait until it stands."""
@@ -107,7 +112,8 @@ class StreamOutlet:
         order = self._order
         if order is None or not order.release.runs:
             return
-        if now >= self._ends_ms + (_SLACK_MS if self._is_sampled else 0):
+        ends_ms = self._ends_ms + (_SLACK_MS if self._is_sampled else 0)
+        if self._is_closing or now >= ends_ms:
             if self._message is not self._zero:
                 self.rest()
             if self.stands:
@@ -119,12 +125,19 @@ class StreamOutlet:
 
         When the ends do not look any more, zero is the last word: silence stops what is left.
         """
-        if self._robot.is_alive():
-            self._is_silent = False
-            self._publisher.publish(self._message)
-        elif not self._is_silent:
-            self._is_silent = True
-            self._publisher.publish(self._zero)
+        with self._turn:
+            if self._robot.is_alive():
+                self._is_silent = False
+                self._publisher.publish(self._message)
+            elif not self._is_silent:
+                self._is_silent = True
+                self._publisher.publish(self._zero)
+
+    def _say(self, message: Any) -> None:
+        """Publish a message, which from now on is said again."""
+        with self._turn:
+            self._message = message
+            self._publisher.publish(message)
 
     def _heard(self) -> bool:
         """True when somebody hears zero, or nobody was ever told to move."""

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard doctor --ros` where ROS 2 is: the map's types are loaded, and its middleware known.
+
+Source: issue 9, "Launch and packaging". How-to: docs/howto/ros-nav2.md
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
+pytest.importorskip("nav2_msgs", reason="needs nav2_msgs (tests/ros/build_interfaces.sh)")
+
+from gates import environment
+from worlds import ROOT
+
+EXAMPLE = ROOT / "examples" / "ros" / "map.yaml"
+
+
+def advice(path: Path, code: str) -> list[dict[str, str]]:
+    """Return what the doctor says of one thing."""
+    variables = environment(measured=True)
+    variables.pop("RMW_IMPLEMENTATION", None)
+    done = subprocess.run(
+        [Path(sys.prefix) / "bin" / "authguard", "doctor", "--ros", path, "--json"],
+        env=variables,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 5, done.stderr  # nothing here is secured
+    found: list[dict[str, str]] = json.loads(done.stdout)["advice"]
+    return [item for item in found if item["code"] == code]
+
+
+def test_types_that_are_installed_load() -> None:
+    (found,) = advice(EXAMPLE, "ROS_TYPE")
+    assert (found["level"], found["message"]) == ("ok", "all 5 of the map load")
+
+
+def test_a_type_that_is_not_installed_is_named_with_its_package(tmp_path: Path) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text(EXAMPLE.read_text().replace("std_srvs", "my_light", 1))
+    (found,) = advice(path, "ROS_TYPE")
+    assert (found["level"], found["place"]) == ("unsafe", "mediated.light.type")
+    assert found["mend"] == "apt install ros-$ROS_DISTRO-my-light"
+
+
+def test_the_wheels_middleware_is_known_to_have_no_security() -> None:
+    (found,) = advice(EXAMPLE, "ROS_RMW")
+    assert found["level"] == "unsafe"
+    assert Path(found["place"]).name == "librmw_fastrtps_shared_cpp.so"

@@ -1,0 +1,665 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot's place out of its own localization: attested while it is sound, and else not at all.
+
+Real publishers, the estimator's process, a gate's, and the node between them. Spec page:
+docs/spec/ros-position.md
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import msgspec
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
+pytest.importorskip("tf2_msgs", reason="needs tf2_msgs (tests/ros/build_interfaces.sh)")
+
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+import worlds
+from authguard_r.assembly import folder_signer
+from authguard_r.client.link import Log
+from authguard_r.commands import Command, Verb
+from authguard_r.core.encoding import Tag, b64
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.identifiers import Digest, GrantId
+from authguard_r.core.token import sign_object
+from authguard_r.keys.envelope import seal
+from authguard_r.ros.map import parse_map
+from authguard_r.ros.nodes.estimator import Estimate, _fail, _raised
+from authguard_r.ros.nodes.localization import Localization
+from authguard_r.ros.position import Fix, Track, Why
+from authguard_r.ros.rights import rights_of
+from authguard_r.sim.sight import snapshot_of
+from authguard_r.sim.world import initial_state
+from authguard_r.wire.messages import ClientRole
+from gates import RunningGate, Told, until
+from robots import gate_of
+from ros.graph import Arm, Goal, Graph, Peer, graph_of, next_domain
+from ros.hospital import BUDGETS, HERE
+from ros.places import (
+    Running,
+    Turned,
+    Walker,
+    estimating,
+    map_with,
+    sensing,
+    stamp,
+    transform,
+    until_heard,
+    until_silent,
+)
+from ros.test_nav2 import GO, to
+
+PLAIN = {"budgets": BUDGETS, "guards": []}
+
+
+@contextmanager
+def hospital(**more: Any) -> Iterator[RunningGate]:
+    """Yield a gate whose state somebody else attests."""
+    folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
+    given = {"grants": [GO], "changes": PLAIN, "fold_ms": 0, **more}
+    with gate_of(folder, "nav2", is_attested=False, **given) as made, sensing(made):
+        yield made
+
+
+class Course:
+    """A planner, the node, Nav2's servers, and a robot that says where it is."""
+
+    def __init__(self, graph: Graph, gate: RunningGate, walker: Walker) -> None:
+        self.graph, self.gate, self.walker = graph, gate, walker
+        self.arm = Arm(graph.robot, NavigateToPose, "/navigate_to_pose")
+        Arm(graph.robot, NavigateThroughPoses, "/navigate_through_poses")
+        Arm(graph.robot, FollowWaypoints, "/follow_waypoints")
+        graph.start(HERE / "nav2-map.yaml")
+        self._planner = graph.planner()
+        self._client = self._planner.client(NavigateToPose, "/llm/navigate_to_pose")
+
+    def go(self) -> Goal:
+        """Ask for the way to the pharmacy."""
+        return Goal(self._planner, self._client, to())
+
+    def canceled(self, goal: Goal, *reasons: str) -> Told:
+        """Require that a goal is canceled and the log says why; return that record."""
+        assert goal.result().status == GoalStatus.STATUS_ABORTED
+        assert self.arm.canceled == [True]
+        return aborted(self.gate, *reasons)
+
+
+def aborted(gate: RunningGate, *reasons: str) -> Told:
+    found = until(lambda: [r for r in gate.news() if r.kind == "outcome"], "the outcome")
+    (record,) = found
+    assert record.decision == "aborted"
+    assert set(record.reasons) >= set(reasons), record
+    return record
+
+
+@contextmanager
+def course(
+    folder: Path, gate: RunningGate, kind: type[Walker] = Walker, **position: Any
+) -> Iterator[tuple[Course, Running]]:
+    gate.mark()
+    if kind is Walker:
+        position = {"odometry": "/odom", **position}
+    with graph_of(folder, gate) as graph:
+        walker = graph.add(kind(graph.domain))
+        with estimating(folder, gate, map_with(graph.domain, **position)) as estimator:
+            yield Course(graph, gate, walker), estimator
+
+
+def decided(gate: RunningGate) -> dict[str, Any]:
+    """Return the state that the newest decision rests on."""
+    records = until(lambda: [r for r in gate.news() if r.kind == "decision"], "the decision")
+    (state,) = records[-1].sealed["state"]
+    snapshot: dict[str, Any] = state["snapshot"]
+    return snapshot
+
+
+@pytest.fixture(scope="module")
+def gate() -> Iterator[RunningGate]:
+    with hospital() as made:
+        yield made
+
+
+@pytest.fixture
+def mortal() -> Iterator[RunningGate]:
+    """A gate of a test's own, whose mission does not outlive it."""
+    with hospital() as made:
+        yield made
+
+
+@pytest.mark.parametrize("kind", [Walker, Turned], ids=["odometry", "transforms"])
+def test_a_place_is_attested_and_a_goal_from_there_is_released(
+    tmp_path: Path, gate: RunningGate, kind: type[Walker]
+) -> None:
+    with course(tmp_path, gate, kind) as (it, _):
+        goal = it.go()
+        assert goal.accepted
+        seen = decided(gate)
+        pose = {name: seen["pose"][name] for name in ("map", "floor", "x_mm", "y_mm", "margin_mm")}
+        at = {"x_mm": 36_000, "y_mm": 1_500, "margin_mm": 151}
+        assert pose == {"map": "main", "floor": 1, **at}
+        assert seen["pose"]["label"] == "trusted_sensor"
+        assert seen["readings"]["speed_mm_s"]["value"] == 0
+        assert seen["readings"]["battery_permille"]["value"] > 0  # the sensors say it
+        it.arm.end.set()
+        assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_a_robot_whose_odometry_leaves_its_regions_is_stopped_in_mid_goal(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """The dock ends at y = 0, and there is nothing below it."""
+    with course(tmp_path, mortal) as (it, _):
+        goal = it.go()
+        assert goal.accepted
+        it.walker.speed = (0.0, -0.4)
+        it.canceled(goal, "OUTSIDE_REGIONS")
+
+
+@pytest.mark.parametrize("kind", [Walker, Turned], ids=["odometry", "transforms"])
+def test_a_robot_that_is_faster_than_it_was_released_is_stopped_in_mid_goal(
+    tmp_path: Path, mortal: RunningGate, kind: type[Walker]
+) -> None:
+    """Nav2 is released for 0.5 m/s: by the odometry's own word, or by the way that was gone."""
+    with course(tmp_path, mortal, kind) as (it, _):
+        it.walker.speed = (-0.2, 0.0)
+        goal = it.go()
+        assert goal.accepted
+        it.walker.speed = (-0.8, 0.0)
+        it.canceled(goal, "BOUND_EXCEEDED")
+
+
+def test_odometry_that_is_silent_in_mid_goal_stops_the_robot(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with course(tmp_path, mortal) as (it, estimator):
+        goal = it.go()
+        assert goal.accepted
+        it.walker.is_silent = True
+        it.canceled(goal, "STATE_STALE")
+        until(lambda: estimator.events()[-1] == "silence", "its word")
+
+
+def test_an_estimator_that_is_killed_in_mid_goal_stops_the_robot(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with course(tmp_path, mortal) as (it, estimator):
+        goal = it.go()
+        assert goal.accepted
+        estimator.process.kill()
+        it.canceled(goal, "STATE_STALE")
+
+
+def ordered(gate: RunningGate, verb: Verb) -> dict[str, Any]:
+    """Give a signed order about the mission that is active."""
+    assert gate.live is not None
+    mission, digest = gate.live
+    now_ms = time.time_ns() // 1_000_000
+    command = Command(
+        verb=verb,
+        mid=mission.mid,
+        version=mission.version,
+        mission=Digest(digest),
+        nonce=b64(os.urandom(16)),
+        expires_ms=now_ms + 60_000,
+        issued_ms=now_ms,
+    )
+    token = sign_object(command, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
+    with gate.client(ClientRole.OPERATOR, "orders") as operator:
+        return operator.command(token)
+
+
+def test_a_mission_that_is_revoked_in_mid_goal_cancels_and_stops(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with course(tmp_path, mortal) as (it, _):
+        goal = it.go()
+        assert goal.accepted
+        assert ordered(mortal, Verb.REVOKE)["status"] == "revoked"
+        it.canceled(goal, "REVOKED")
+        assert not it.go().accepted
+
+
+def elsewhere(grant: Any) -> Any:
+    """Return a grant without the ways that begin in the dock, as another one."""
+    rows = tuple(row for row in grant.alternatives if row.source != "dock")
+    same = rows == grant.alternatives
+    change = {} if same else {"id": GrantId(f"{grant.id}-2"), "alternatives": rows}
+    return msgspec.structs.replace(grant, **change)
+
+
+def test_a_mission_whose_update_does_not_allow_it_any_more_cancels_and_stops(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with course(tmp_path, mortal) as (it, _):
+        goal = it.go()
+        assert goal.accepted
+        assert mortal.live is not None
+        first, digest = mortal.live
+        grants = tuple(elsewhere(grant) for grant in first.actions if grant.id != "go")
+        change = {"version": 2, "supersedes": Digest(digest), "nonce": b64(os.urandom(16))}
+        mortal.activate(mortal.token(msgspec.structs.replace(first, actions=grants, **change)))
+        it.canceled(goal, "SUPERSEDED")
+        assert not it.go().accepted
+
+
+# faults
+
+
+class Bench:
+    """An estimator of a gate that is only asked what it hears."""
+
+    def __init__(self, gate: RunningGate, walker: Walker, estimator: Running) -> None:
+        self.gate, self.walker, self.estimator = gate, walker, estimator
+        self._auditor = gate.client(ClientRole.AUDITOR, "listens")
+
+    def sound(self) -> None:
+        """Wait until it attests."""
+        until_heard(self.gate, self._auditor)
+        until(lambda: self.estimator.events()[-1] == "sound", "its word", seconds=20)
+
+    def doubtful(self, why: str, ms: int = 1_500) -> None:
+        """Wait until it attests nothing for longer than a doubt alone lasts, and says why."""
+        until_silent(self.gate, self._auditor, ms)
+        until(lambda: self.estimator.events()[-1] == why, why, seconds=20)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
+    with hospital() as gate, graph_of(folder, gate) as graph:
+        walker = graph.add(Walker(graph.domain))
+        text = map_with(graph.domain, odometry="/odom")
+        with estimating(folder, gate, text) as estimator:
+            yield Bench(gate, walker, estimator)
+
+
+def framed(message: Any) -> None:
+    message.header.frame_id = "map"
+
+
+def childed(message: Any) -> None:
+    message.child_frame_id = "base_footprint"
+
+
+def not_a_number(message: Any) -> None:
+    message.pose.pose.position.y = float("nan")
+
+
+def fast_beyond_numbers(message: Any) -> None:
+    message.twist.twist.linear.y = float("inf")
+
+
+def turned_by_nothing(message: Any) -> None:
+    message.pose.pose.orientation.w = 0.0
+
+
+def spread(message: Any) -> None:
+    message.pose.covariance[7] = 0.06**2  # three deviations are more than the margin
+
+
+def upstairs(message: Any) -> None:
+    message.pose.pose.position.z = 3.5
+
+
+def backward(message: Any) -> None:
+    stamp(message, 10**18 - time.monotonic_ns())
+
+
+def still(message: Any) -> None:
+    stamp(message, 10**18)
+
+
+def rushing(message: Any) -> None:
+    stamp(message, 3 * time.monotonic_ns())
+
+
+FAULTS: list[tuple[str, Callable[[Any], None]]] = [
+    ("frame", framed),
+    ("child", childed),
+    ("not_finite", not_a_number),
+    ("not_finite", fast_beyond_numbers),
+    ("not_unit", turned_by_nothing),
+    ("covariance", spread),
+    ("height", upstairs),
+    ("stamp_back", backward),
+    ("stamp_still", still),
+    ("stamp_ahead", rushing),
+]
+
+
+@pytest.mark.parametrize(("why", "bend"), FAULTS, ids=[bend.__name__ for _, bend in FAULTS])
+def test_what_is_doubtful_is_not_attested_and_what_is_sound_again_is(
+    bench: Bench, why: str, bend: Callable[[Any], None]
+) -> None:
+    bench.sound()
+    bench.walker.bend = bend
+    bench.doubtful(why)
+    bench.walker.bend = None
+    bench.sound()
+
+
+def test_a_jump_that_no_robot_can_make_is_not_attested_at_once(bench: Bench) -> None:
+    """It is somewhere else afterwards: the gate has had no state for longer than it allows."""
+    bench.sound()
+    x, y = bench.walker.at
+    bench.walker.at = (x - 2.0, y)
+    bench.doubtful("jump", 900)
+    bench.sound()
+    bench.walker.at = (x, y)
+
+
+def test_of_two_publishers_neither_is_believed(bench: Bench) -> None:
+    bench.sound()
+    other = Walker(bench.walker.node.context.get_domain_id(), name="other")
+    try:
+        bench.doubtful("another_publisher")
+    finally:
+        other.close()
+    bench.sound()
+
+
+def test_a_publisher_of_another_type_ends_what_is_believed(bench: Bench) -> None:
+    """It is never heard; but one of the two topics is not what it should be."""
+    bench.sound()
+    other = Peer("other", bench.walker.node.context.get_domain_id())
+    try:
+        other.node.create_publisher(String, "/odom", 10)
+        bench.doubtful("type")
+    finally:
+        other.close()
+    bench.sound()
+
+
+def test_node_time_that_jumps_changes_nothing(bench: Bench) -> None:
+    """The robot's clock may be anything, if it goes on; `/clock` is heard by nobody."""
+    bench.sound()
+    other = Peer("other", bench.walker.node.context.get_domain_id())
+    clock = other.node.create_publisher(Clock, "/clock", 10)
+    before, sent = bench.estimator.events(), bench.walker.sent
+    try:
+        while bench.walker.sent < sent + 100:
+            for seconds in (0, 10**9, 5):
+                message = Clock()
+                message.clock.sec = seconds
+                clock.publish(message)
+            bench.sound()
+        assert clock.get_subscription_count() == 0
+    finally:
+        other.close()
+    assert bench.estimator.events() == before
+
+
+def test_a_planner_has_no_way_to_make_a_robot_believe_another_place(
+    tmp_path: Path, gate: RunningGate
+) -> None:
+    """Through the node nothing leads to `/initialpose`, and no enclave of ours may write it."""
+    with course(tmp_path, gate) as (it, estimator):
+        heard: list[Any] = []
+        robot, planner = it.graph.robot.node, it.graph.planner("hijacked")
+        robot.create_subscription(PoseWithCovarianceStamped, "/initialpose", heard.append, 10)
+        liar = planner.node.create_publisher(PoseWithCovarianceStamped, "/llm/initialpose", 10)
+        lie = PoseWithCovarianceStamped()
+        lie.pose.pose.position.x = 4.2
+        for _ in range(10):
+            liar.publish(lie)
+        assert it.go().accepted  # after all of it, and from where the robot is
+        assert decided(gate)["pose"]["x_mm"] == 36_000
+        assert liar.get_subscription_count() == 0
+        assert heard == []
+        it.arm.end.set()
+        rights = rights_of(parse_map(map_with(1, odometry="/odom"), where="map"))
+        assert all("rt/initialpose" not in right.publish for right in rights.values())
+        node = ("authguard_estimator", "/")
+        until(lambda: node in planner.node.get_node_names_and_namespaces(), "discovery")
+        listens = planner.node.get_subscriber_names_and_types_by_node(*node)
+        assert {name for name, _ in listens} == {"/odom"}
+        speaks = planner.node.get_publisher_names_and_types_by_node(*node)
+        assert {name for name, _ in speaks} <= {"/parameter_events"}
+        assert estimator.events() == ["start", "sound"]
+
+
+# transforms
+
+
+class Ears:
+    """What hears transforms, in this process; its executor runs one callback at a time."""
+
+    def __init__(self, domain: int) -> None:
+        text = map_with(domain)
+        position = parse_map(text, where="map").position
+        assert position is not None
+        self.track = Track(max_speed_mm_s=1_500, margin_mm=position.margin_mm)
+        self.peer = Peer("authguard_estimator", domain)
+        self.heard = Localization(self.peer.node, position, self.track, Log())
+        self.robot = Turned(domain)
+
+    def sound(self) -> None:
+        until(lambda: self.heard.fix, "a position", seconds=20)
+
+    def doubtful(self, why: Why) -> None:
+        until(lambda: self.track.why is why, why, seconds=20)
+        assert self.heard.fix is None
+
+    def close(self) -> None:
+        self.robot.close()
+        self.peer.close()
+
+
+@pytest.fixture(scope="module")
+def ears() -> Iterator[Ears]:
+    made = Ears(next_domain())
+    yield made
+    made.close()
+
+
+def another_parent(message: Any) -> None:
+    message.transforms[1].header.frame_id = "elsewhere"
+
+
+def another_parent_too(message: Any) -> None:
+    message.transforms.append(transform("elsewhere", "foot", (0.0, 0.0), 10**18))
+
+
+def round_and_round(message: Any) -> None:
+    message.transforms[0].header.frame_id = "foot"
+
+
+def crowded(message: Any) -> None:
+    message.transforms.extend([message.transforms[0]] * 300)
+
+
+def frozen(message: Any) -> None:
+    for one in message.transforms:
+        stamp(one, 10**18)
+    message.transforms[1].transform.translation.x += time.monotonic() % 0.01
+
+
+def no_number(message: Any) -> None:
+    message.transforms[0].transform.translation.x = float("nan")
+
+
+def no_turn(message: Any) -> None:
+    message.transforms[1].transform.rotation.w = 2.0
+
+
+TRANSFORMS = [
+    (Why.ANOTHER, another_parent_too),
+    (Why.NO_WAY, another_parent),
+    (Why.CYCLE, round_and_round),
+    (Why.TOO_MUCH, crowded),
+    (Why.STILL, frozen),
+    (Why.NOT_FINITE, no_number),
+    (Why.NOT_UNIT, no_turn),
+]
+
+
+@pytest.mark.parametrize(("why", "bend"), TRANSFORMS, ids=[one.__name__ for _, one in TRANSFORMS])
+def test_transforms_that_are_doubtful_are_no_place(
+    ears: Ears, why: Why, bend: Callable[[Any], None]
+) -> None:
+    ears.sound()
+    ears.robot.bend = bend
+    ears.doubtful(why)
+    ears.robot.bend = None
+    ears.sound()
+
+
+def test_what_is_not_on_the_way_may_be_anything(ears: Ears) -> None:
+    def beside(message: Any) -> None:
+        made = transform("foot", "arm", (float("nan"), 0.0), ears.robot.now_ns())
+        message.transforms.append(made)
+
+    ears.sound()
+    ears.robot.bend = beside
+    sent = ears.robot.sent
+    ears.robot.lasting.publish(TFMessage(transforms=[transform("a", "b", (math.nan, 0.0), 0)]))
+    for _ in until(lambda: ears.robot.sent > sent + 100 and [1], "two seconds of it"):
+        assert ears.heard.fix is not None
+    ears.robot.bend = lambda message: message.transforms.clear()  # nothing is nothing
+    ears.doubtful(Why.SILENCE)
+    ears.robot.bend = None
+    ears.sound()
+
+
+def test_two_publishers_of_one_transform_are_doubtful(ears: Ears) -> None:
+    ears.sound()
+    other = Turned(ears.robot.node.context.get_domain_id(), name="other")
+    try:
+        ears.doubtful(Why.ANOTHER)
+    finally:
+        other.close()
+    ears.sound()
+
+
+def test_what_never_changes_is_said_in_one_way(ears: Ears) -> None:
+    def lasting(x: float, count: int = 1) -> TFMessage:
+        return TFMessage(transforms=[transform("foot", "base_link", (x, 0.0), 0)] * count)
+
+    ears.sound()
+    ears.robot.lasting.publish(lasting(0.2))
+    until(lambda: ears.track.why in {Why.ANOTHER, Why.NO_WAY}, "its end", seconds=20)
+    ears.robot.lasting.publish(lasting(0.1))
+    ears.sound()
+    ears.robot.lasting.publish(lasting(0.1, 300))
+    ears.doubtful(Why.TOO_MUCH)
+    ears.sound()
+
+
+def test_an_rclpy_that_does_not_say_who_published_is_not_believed(ears: Ears) -> None:
+    ears.robot.is_silent = True
+    ears.doubtful(Why.SILENCE)
+    for hear, message in (
+        (ears.heard._odometry, Odometry()),
+        (ears.heard._transforms, TFMessage()),
+    ):
+        ears.track.doubt(Why.START)
+        ears.heard._take(hear, message, {})
+        assert ears.track.why is Why.UNNAMED
+    ears.robot.is_silent = False
+    ears.sound()
+
+
+def test_without_sensors_the_place_and_the_speed_are_all_that_is_attested() -> None:
+    position = parse_map(map_with(1), where="map").position
+    assert position is not None
+    fix = Fix(x_mm=1, y_mm=2, speed_mm_s=3, measured_ns=1_000_000)
+    seen = Estimate(worlds.RID, position, lambda: fix).look(11)
+    assert seen is not None
+    assert seen.snapshot.pose is not None
+    assert (seen.measured_ms, seen.snapshot.pose.age_ms) == (11, 10)
+    assert set(seen.snapshot.readings) == {"speed_mm_s"}
+    assert Estimate(worlds.RID, position, lambda: None).look(11) is None
+
+
+def test_a_node_that_does_not_spin_any_more_ends_the_process() -> None:
+    async def fails() -> None:
+        failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        _fail(failed, RuntimeError("stuck"))
+        await _raised(failed)
+
+    with pytest.raises(EnvironmentFault, match="does not spin any more"):
+        asyncio.run(fails())
+
+
+# the gate
+
+
+def test_a_gate_that_hangs_is_left_and_found_again(tmp_path: Path, mortal: RunningGate) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        graph.add(Walker(graph.domain))
+        text = map_with(graph.domain, odometry="/odom")
+        with estimating(tmp_path, mortal, text) as estimator:
+            os.kill(mortal.pid, signal.SIGSTOP)
+            try:
+                until(lambda: "no answer" in estimator.said(), "its word", seconds=20)
+            finally:
+                os.kill(mortal.pid, signal.SIGCONT)
+            with mortal.client(ClientRole.AUDITOR, "listens") as auditor:
+                until_heard(mortal, auditor)
+
+
+def test_an_estimator_that_another_shut_out_says_so(tmp_path: Path, mortal: RunningGate) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        graph.add(Walker(graph.domain))
+        text = map_with(graph.domain, odometry="/odom")
+        with estimating(tmp_path, mortal, text) as estimator:
+            ahead = time.time_ns() // 1_000_000 + 1_000
+            dock = initial_state(worlds.site(), "dock")
+            other = snapshot_of(dock, robot=mortal.rid, epoch=ahead, seq=1)
+            signer = folder_signer(mortal.trust, f"estimator-{mortal.rid}")
+            with mortal.client(ClientRole.ESTIMATOR, "another") as client:
+                client.attest(sign_object(other, Tag.STATE, signer))
+            until(lambda: "STATE_REPLAYED" in estimator.said(), "its word", seconds=20)
+            until(lambda: len(mortal.refusals("STATE_REPLAYED")) > 6, "more of it", seconds=20)
+            assert estimator.said().count("STATE_REPLAYED") == 1
+            assert estimator.end() == 0
+
+
+# what it does not start with
+
+
+def test_it_does_not_start_without_security_or_with_what_is_not_its_own(
+    tmp_path: Path, gate: RunningGate
+) -> None:
+    keys = gate.trust / "keys"
+    sound = map_with(1, odometry="/odom")
+    other = {"key": keys / "operator-1.key.pem", "cert": keys / "operator-1.cert.pem"}
+    refused: list[tuple[str, str, tuple[str, ...], dict[str, object]]] = [
+        ("ROS_SECURITY_ENABLE", sound, (), {}),
+        ("ROLE_DENIED", sound, ("--demo",), other),
+        ("position", (HERE / "nav2-map.yaml").read_text(), ("--demo",), {}),
+        ("position", map_with(1, floor=7), ("--demo",), {}),
+        ("margin_mm", map_with(1, margin_mm=-1), ("--demo",), {}),
+        ("map.robot", sound.replace("courier-1", "courier-9"), ("--demo",), {}),
+        ("unrecognized", sound, ("--demo", "--ros-args"), {}),
+        ("invalid choice", sound, ("--demo", "--rate", "0"), {}),
+        ("cannot read", sound, ("--demo",), {"passphrase-file": tmp_path / "none"}),
+    ]
+    sealed = tmp_path / "sealed.pem"
+    for word, text, more, changes in refused:
+        given = {**changes, **({"key": sealed} if "passphrase-file" in changes else {})}
+        sealed.write_bytes(
+            seal((keys / f"estimator-{gate.rid}.key.pem").read_bytes(), "several words for a test")
+        )
+        made = Running(tmp_path, gate, text, *more, **given)
+        assert made.process.wait(60) != 0, word
+        assert word in made.said(), (word, made.said())
+        made.end()
