@@ -34,10 +34,11 @@ import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.client import GateClient
+from authguard_r.commands import Command, Verb
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
 from authguard_r.core.encoding import Tag, b64
-from authguard_r.core.identifiers import RobotId
+from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import sign_object
@@ -70,6 +71,22 @@ class Told(msgspec.Struct, frozen=True, kw_only=True):
     def reasons(self) -> list[str]:
         """What it was refused for; empty for a record of something else."""
         return list(self.open.get("reasons", ()))
+
+
+def order(gate: RunningGate, mission: Mission, digest: str, verb: Verb, **more: Any) -> bytes:
+    """Return an operator's signed order about a mission, good for a minute."""
+    now_ms = time.time_ns() // 1_000_000
+    command = Command(
+        verb=verb,
+        mid=mission.mid,
+        version=mission.version,
+        mission=Digest(digest),
+        nonce=b64(worlds.random_bytes(16)),
+        expires_ms=now_ms + 60_000,
+        issued_ms=now_ms,
+        **more,
+    )
+    return sign_object(command, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
 
 
 def until(holds: Callable[[], Any], what: str = "it", *, seconds: float = PATIENCE_S) -> Any:

@@ -21,17 +21,13 @@ from typing import Any
 import pytest
 
 import worlds
-from authguard_r.assembly import folder_signer
 from authguard_r.client import GateClient
-from authguard_r.commands import Command, Verb
-from authguard_r.core.encoding import Tag, b64
+from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
-from authguard_r.core.token import sign_object
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, Told, until
+from gates import RunningGate, Told, order, until
 from integration.scripted_gate import Sensors
 
 GO = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
@@ -117,21 +113,6 @@ def outcome(gate: RunningGate) -> Told:
     """Return the record of the one released action's end."""
     found = until(lambda: [r for r in gate.records() if r.kind == "outcome"], "an outcome")
     return found[-1]
-
-
-def order(gate: RunningGate, mission: Mission, digest: str, verb: Verb, **more: Any) -> bytes:
-    now_ms = time.time_ns() // 1_000_000
-    command = Command(
-        verb=verb,
-        mid=mission.mid,
-        version=mission.version,
-        mission=Digest(digest),
-        nonce=b64(worlds.random_bytes(16)),
-        expires_ms=now_ms + 60_000,
-        issued_ms=now_ms,
-        **more,
-    )
-    return sign_object(command, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
 
 
 def walking(gate: RunningGate, mission: Mission | None = None) -> tuple[Walk, Mission, str]:

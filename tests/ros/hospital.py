@@ -65,6 +65,22 @@ CHIME = {
     "repeat": 200,
     "starts": 200,
 }
+#: Nav2's part: a walk along the corridor, and where goals of that name are and are not.
+GO = {
+    "id": "go",
+    "type": "navigate",
+    "tool": "base",
+    "rows": [
+        {
+            "source": "dock",
+            "destination": "pharmacy",
+            "regions": ["dock", "pharmacy", "public-corridor"],
+        }
+    ],
+    "limits": {"speed_mm_s": ["0.05 m/s", "0.8 m/s"]},
+    "max": "3 min",
+}
+PHARMACY, ISOLATION = (4.2, 5.3), (21.0, -3.0)
 TOOLS = {
     "gesture": ["arm"],
     "lamp": ["lamps"],

@@ -25,23 +25,7 @@ from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPo
 from gates import RunningGate, until
 from robots import gate_of
 from ros.graph import Arm, Goal, Graph, Planner, graph_of
-from ros.hospital import BUDGETS, HERE
-
-GO = {
-    "id": "go",
-    "type": "navigate",
-    "tool": "base",
-    "rows": [
-        {
-            "source": "dock",
-            "destination": "pharmacy",
-            "regions": ["dock", "pharmacy", "public-corridor"],
-        }
-    ],
-    "limits": {"speed_mm_s": ["0.05 m/s", "0.8 m/s"]},
-    "max": "3 min",
-}
-PHARMACY, ISOLATION = (4.2, 5.3), (21.0, -3.0)
+from ros.hospital import BUDGETS, GO, HERE, ISOLATION, PHARMACY
 
 
 @pytest.fixture(scope="module")

@@ -33,28 +33,14 @@ from authguard_r.ros.map import read_map
 from gates import RunningGate, environment, until
 from robots import gate_of
 from ros.graph import PATIENCE_S, Arm, Goal, Graph
-from ros.hospital import BUDGETS
+from ros.hospital import BUDGETS, GO, ISOLATION, PHARMACY
 from ros_stopping import map_of
 from worlds import ROOT
 
 EXAMPLE = ROOT / "examples" / "ros"
 SCRIPTS = ("gate_node", "actuator", "deadman", "estimator")
-PHARMACY, ISOLATION = (4.2, 5.3), (21.0, -3.0)
 GRANTS = (
-    {
-        "id": "go",
-        "type": "navigate",
-        "tool": "base",
-        "rows": [
-            {
-                "source": "dock",
-                "destination": "pharmacy",
-                "regions": ["dock", "pharmacy", "public-corridor"],
-            }
-        ],
-        "limits": {"speed_mm_s": ["0.05 m/s", "0.8 m/s"]},
-        "max": "3 min",
-    },
+    GO,
     {"id": "shine", "type": "lamp", "tool": "lamp", "rows": [{}], "limits": {"lamp_no": [1, 1]}},
 )
 

@@ -35,7 +35,7 @@ from tf2_msgs.msg import TFMessage
 import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.link import Log
-from authguard_r.commands import Command, Verb
+from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, GrantId
@@ -49,10 +49,10 @@ from authguard_r.ros.rights import rights_of
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.world import initial_state
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, Told, until
+from gates import RunningGate, Told, order, until
 from robots import gate_of
 from ros.graph import Arm, Goal, Graph, Peer, graph_of, next_domain
-from ros.hospital import BUDGETS, HERE
+from ros.hospital import BUDGETS, GO, HERE
 from ros.places import (
     Running,
     Turned,
@@ -65,7 +65,7 @@ from ros.places import (
     until_heard,
     until_silent,
 )
-from ros.test_nav2 import GO, to
+from ros.test_nav2 import to
 
 PLAIN = {"budgets": BUDGETS, "guards": []}
 
@@ -207,32 +207,16 @@ def test_an_estimator_that_is_killed_in_mid_goal_stops_the_robot(
         it.canceled(goal, "STATE_STALE")
 
 
-def ordered(gate: RunningGate, verb: Verb) -> dict[str, Any]:
-    """Give a signed order about the mission that is active."""
-    assert gate.live is not None
-    mission, digest = gate.live
-    now_ms = time.time_ns() // 1_000_000
-    command = Command(
-        verb=verb,
-        mid=mission.mid,
-        version=mission.version,
-        mission=Digest(digest),
-        nonce=b64(os.urandom(16)),
-        expires_ms=now_ms + 60_000,
-        issued_ms=now_ms,
-    )
-    token = sign_object(command, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
-    with gate.client(ClientRole.OPERATOR, "orders") as operator:
-        return operator.command(token)
-
-
 def test_a_mission_that_is_revoked_in_mid_goal_cancels_and_stops(
     tmp_path: Path, mortal: RunningGate
 ) -> None:
     with course(tmp_path, mortal) as (it, _):
         goal = it.go()
         assert goal.accepted
-        assert ordered(mortal, Verb.REVOKE)["status"] == "revoked"
+        assert mortal.live is not None
+        with mortal.client(ClientRole.OPERATOR, "orders") as operator:
+            revoked = operator.command(order(mortal, *mortal.live, Verb.REVOKE))
+        assert revoked["status"] == "revoked"
         it.canceled(goal, "REVOKED")
         assert not it.go().accepted
 

@@ -50,9 +50,9 @@ from authguard_r.wire.messages import ClientRole
 from gates import EVERY, RunningGate, Told, until
 from robots import gate_of
 from ros.graph import Arm, Graph, Peer, Planner, graph_of
-from ros.hospital import BRAKES, BUDGETS, GRANTS, HERE, TOOLS
+from ros.hospital import BRAKES, BUDGETS, GO, GRANTS, HERE, ISOLATION, TOOLS
 from ros.test_mediation import asked
-from ros.test_nav2 import GO, ISOLATION, to
+from ros.test_nav2 import to
 
 SHOWN = """
 shown:
