@@ -45,10 +45,10 @@ from authguard_r.sim.sensors import LOOK_MS
 from authguard_r.sim.sight import MARGIN_MM
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import Begun, ClientRole, Ended, Kind, Stood
-from gates import Line, RunningGate, Told, until
+from gates import Line, RunningGate, Told, order, until
 from integration.scripted_gate import Sensors
 from integration.test_gate_streams import BINDING, MISSION, SITE
-from integration.test_gate_watching import Walk, connected, operator, order
+from integration.test_gate_watching import Walk, connected, operator
 from integration.trails import Rest, Trail
 
 MULE = RobotId("mule-1")

@@ -27,8 +27,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.ledger import SKEW_MS
 from authguard_r.wire.messages import ClientRole, Kind, Propose
-from gates import AUTHGUARD, Line, RunningGate, shown, until
-from integration.test_gate_watching import FAST, operator, order, sensors, speed, stands
+from gates import AUTHGUARD, Line, RunningGate, order, shown, until
+from integration.test_gate_watching import FAST, operator, sensors, speed, stands
 
 HOUR_MS = 3_600_000
 AHEAD_MS = 5 * 60_000

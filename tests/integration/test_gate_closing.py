@@ -22,16 +22,8 @@ from authguard_r.core.errors import RefusedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.wire.messages import ClientRole, Kind, Propose
-from gates import Line, RunningGate, Told, shown, until
-from integration.test_gate_watching import (
-    FAST,
-    connected,
-    operator,
-    order,
-    sensors,
-    speed,
-    stands,
-)
+from gates import Line, RunningGate, Told, order, shown, until
+from integration.test_gate_watching import FAST, connected, operator, sensors, speed, stands
 
 SCAN = b"scan()"
 #: What the closing grant allows; slow enough to be under way for as long as a test wants.

@@ -24,8 +24,8 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.ledger import High
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
-from integration.test_gate_watching import FAST, GO, connected, operator, order, walking
+from gates import RunningGate, order, until
+from integration.test_gate_watching import FAST, GO, connected, operator, walking
 
 HOUR_MS = 3_600_000
 

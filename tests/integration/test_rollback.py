@@ -21,10 +21,10 @@ from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, RunningGate, until
+from gates import AUTHGUARD, RunningGate, order, until
 from integration.test_gate_clock import HOUR_MS, WallClock
 from integration.test_gate_clock import clock as clock  # noqa: PLC0414 - a fixture
-from integration.test_gate_watching import FAST, operator, order
+from integration.test_gate_watching import FAST, operator
 
 SCAN = b"scan()"
 

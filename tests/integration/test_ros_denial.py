@@ -31,6 +31,15 @@ pytestmark = pytest.mark.skipif(
 )
 PEER = ROOT / "tests" / "dds" / "peer.py"
 GATE, PLANNER, BASE = "/authguard/gate", "/llm/planner", "/robot/base"
+DEADMAN, NAVIGATION = "/authguard/deadman", "/robot/navigation"
+#: What else must not be written: as DDS calls it, by who hears it and who alone may say it.
+ELSE = {
+    "a goal": ("rq/navigate_to_pose/_action/send_goalRequest", NAVIGATION, GATE),
+    "a call": ("rq/lightRequest", BASE, GATE),
+    "an answer of the robot's": ("rr/lightReply", GATE, BASE),
+    "a goal's feedback": ("rt/navigate_to_pose/_action/feedback", GATE, NAVIGATION),
+    "the gate's life": ("rt/authguard/heartbeat", DEADMAN, GATE),
+}
 #: How long somebody who must not be heard tries, in seconds; the gate is heard within one.
 TRIES_S = 3.0
 
@@ -73,7 +82,7 @@ class Net:
         self._shell = shell
 
     @contextmanager
-    def peer(self, role: str, *folders: Path) -> Iterator[Peer]:
+    def peer(self, role: str, *folders: Path, topic: str = "rt/cmd_vel") -> Iterator[Peer]:
         """Start a process that takes part."""
         words = [
             "nsenter",
@@ -84,7 +93,7 @@ class Net:
             "--preserve-credentials",
         ]
         words += [str(FOLDER / "venv" / "bin" / "python"), str(PEER), role]
-        words += ["rt/cmd_vel", str(example().domain), *map(str, folders)]
+        words += [topic, str(example().domain), *map(str, folders)]
         more = {
             "CYCLONEDDS_HOME": str(FOLDER / "home"),
             "LD_LIBRARY_PATH": str(FOLDER / "libraries"),
@@ -185,6 +194,20 @@ def test_l1_nobody_but_the_gate_reaches_the_base(
             until(lambda: f"heard {gate.process.pid}" in base.said, "the gate")
             assert "matched" in gate.said
     assert base.said == ["ready", f"heard {gate.process.pid}"]
+
+
+@pytest.mark.parametrize(("topic", "hears", "says"), ELSE.values(), ids=ELSE)
+def test_l1_a_planner_reaches_no_server_no_client_and_no_dead_man(
+    net: Net, keystore: Path, topic: str, hears: str, says: str
+) -> None:
+    with net.peer("hear", home(keystore, hears), topic=topic) as heard:
+        assert heard.said == ["ready"]
+        with net.peer("write", home(keystore, PLANNER), topic=topic) as other:
+            time.sleep(TRIES_S)
+            assert "matched" not in other.said
+        with net.peer("write", home(keystore, says), topic=topic) as own:
+            until(lambda: f"heard {own.process.pid}" in heard.said, says)
+    assert heard.said == ["ready", f"heard {own.process.pid}"]
 
 
 def test_the_comparison_can_fail_whom_the_authority_lets_in_is_heard(

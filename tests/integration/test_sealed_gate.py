@@ -24,9 +24,9 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, RunningGate, until
+from gates import AUTHGUARD, RunningGate, order, until
 from integration.test_approvals_gate import PLAN, key, reasons
-from integration.test_gate_watching import operator, order
+from integration.test_gate_watching import operator
 
 REGION, PERSON = DataClass.REGION, DataClass.PERSON
 SCAN = b"scan()"

@@ -21,8 +21,8 @@ from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, until
-from integration.test_gate_watching import operator, order
+from gates import AUTHGUARD, PATIENCE_S, RunningGate, order, until
+from integration.test_gate_watching import operator
 from integration.test_rollback import SCAN, CountedGate, active, resumed
 from witnesses import ORIGIN, SmallWitness, log_keys
 

@@ -46,7 +46,7 @@ from authguard_r.client.link import Log
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import parse_map
 from authguard_r.ros.nodes.heartbeat import steady
-from authguard_r.ros.nodes.mediator import Place, mediating
+from authguard_r.ros.nodes.mediator import Mediator, Place, mediating
 from authguard_r.site.source import read_site
 from authguard_r.tools.given import given_binding
 from gates import RunningGate, environment, until
@@ -323,6 +323,7 @@ class Graph:
         self._peers: list[Peer] = []
         self._robots: list[subprocess.Popen[str]] = []
         self.process: subprocess.Popen[str] | None = None
+        self.mediator: Mediator  # of a node `inside`
         self.robot: Robot = self.add(Robot(domain))
 
     def add(self, peer: Any) -> Any:
@@ -401,7 +402,7 @@ class Graph:
         )
 
         async def live() -> None:
-            async with mediating(place, Log()):
+            async with mediating(place, Log()) as self.mediator:
                 begun.set_result(asyncio.get_running_loop())
                 await over.wait()
 

@@ -191,6 +191,25 @@ def test_what_a_server_never_answers_is_forgotten(
     other.destroy_node()
 
 
+def test_a_server_that_the_graph_hides_is_asked_all_the_same(
+    node: Node, spin: Callable[[Callable[[], bool]], None]
+) -> None:
+    heard: list[CancelGoal.Request] = []
+
+    def answer(request: CancelGoal.Request, empty: CancelGoal.Response) -> CancelGoal.Response:
+        heard.append(request)
+        return empty
+
+    asked = Canceler(node, "/count", Log())
+    node.create_service(CancelGoal, "/count/_action/cancel_goal", answer)
+    spin(asked._client.service_is_ready)
+    asked._client.service_is_ready = lambda: False  # type: ignore[method-assign]
+    asked.lose(0)
+    asked.look(1, is_lost=True)
+    spin(lambda: bool(heard))
+    assert bytes(heard[0].goal_info.goal_id.uuid) == bytes(16)
+
+
 def test_an_answer_to_a_question_from_before_the_loss_settles_nothing(
     node: Node, spin: Callable[[Callable[[], bool]], None]
 ) -> None:

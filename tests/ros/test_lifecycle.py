@@ -6,6 +6,7 @@ Real nodes, a real gate. Source: issue 9, "Lifecycle". Spec page: docs/spec/ros.
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ import worlds
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.nodes.process import require_bench
-from gates import until
-from ros.graph import PATIENCE_S, Goal, Graph, Planner
+from gates import RunningGate, until
+from ros.graph import PATIENCE_S, Goal, Graph, Planner, graph_of
 from ros.hospital import HERE
 from unit.keys.chains import house
 
@@ -211,6 +212,38 @@ def test_by_itself_it_ends_when_it_cannot_be_configured(graph: Graph) -> None:
     graph.launch(binding=graph.folder / "other.yaml")
     assert graph.ended() == 1
     assert "SITE_MISMATCH" in graph.said()
+
+
+def test_a_gate_whose_store_was_put_back_is_no_configuration(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    counter = mortal.folder / "other" / "counter"
+    counter.parent.mkdir()
+    copy = mortal.folder / "copy.db"
+    assert mortal.stop_process("gate") == 0
+    for kept, back in ((False, False), (True, False), (False, True)):
+        if kept:
+            shutil.copy(mortal.store, copy)
+        if back:
+            shutil.copy(copy, mortal.store)
+        mortal.start_gate("--counter", str(counter))
+        if not back:
+            assert mortal.stop_process("gate") == 0
+    with graph_of(tmp_path, mortal) as graph:
+        graph.launch()
+        assert graph.ended() == 1
+        assert "ROLLED_BACK" in graph.said()
+
+
+def test_another_robots_gate_is_no_configuration(graph: Graph) -> None:
+    """Its certificate names the courier, the map another robot of the same site."""
+    plain = yaml.safe_load((HERE / "map.yaml").read_text())
+    horn = {"horn": plain["mediated"]["horn"]}
+    other = graph.folder / "other.yaml"
+    other.write_text(yaml.safe_dump({**plain, "robot": worlds.OTHER, "mediated": horn}))
+    graph.launch(source=other)
+    assert graph.ended() == 1
+    assert worlds.OTHER in graph.said()
 
 
 def test_a_gate_that_does_not_come_is_no_configuration(graph: Graph, tmp_path: Path) -> None:

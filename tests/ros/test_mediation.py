@@ -7,8 +7,11 @@ Spec page: docs/spec/ros.md
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +27,9 @@ from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
 from authguard_r.client import GateClient
+from authguard_r.commands import Verb
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from gates import RunningGate, order, until
 from ros.graph import Arm, Goal, Graph, Peer, Stick, graph_of
 
 
@@ -264,6 +268,79 @@ def test_l16_a_velocity_along_an_axis_that_nobody_granted_never_begins(
     assert set(base.speeds) == {0.0}
 
 
+def revoked(gate: RunningGate) -> None:
+    assert gate.live is not None
+    with gate.client(ClientRole.OPERATOR, "orders") as operator:
+        operator.command(order(gate, *gate.live, Verb.REVOKE))
+
+
+def left(gate: RunningGate) -> None:
+    assert gate.move is not None
+    gate.move("public-corridor")
+
+
+ENDS: dict[str, Callable[[RunningGate], None]] = {
+    "its mission is revoked": revoked,
+    "the robot leaves its regions": left,
+    "the gate is killed": RunningGate.kill9,
+    "the gate is stopped by the kernel": lambda gate: os.kill(gate.pid, signal.SIGSTOP),
+}
+
+
+@pytest.mark.parametrize("end", ENDS.values(), ids=ENDS)
+def test_velocities_end_with_what_allowed_them_whatever_their_planner_says(
+    tmp_path: Path, mortal: RunningGate, end: Callable[[RunningGate], None]
+) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        base = graph.robot.base
+        graph.start()
+        stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+        until(lambda: base.told, "the base is heard by")
+        stick.message = twist(0.2)
+        until(lambda: 0.2 in base.speeds, "the velocity")
+        end(mortal)
+        try:
+            until(lambda: base.speeds[-1] == 0.0, "zero")
+            stood, sent = len(base.speeds), stick.sent
+            until(lambda: stick.sent > sent + 100, "a hundred more")
+            assert not any(base.speeds[stood:])
+        finally:
+            if mortal.alive:
+                os.kill(mortal.pid, signal.SIGCONT)
+            else:
+                mortal.start_gate()
+
+
+def test_a_planner_that_floods_velocities_keeps_nobody_from_stopping_the_robot(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """A few thousand a second: what waits is bounded, and the node never counts as dead."""
+    with graph_of(tmp_path, mortal) as graph:
+        base, over = graph.robot.base, threading.Event()
+        graph.start()
+        publisher = graph.planner().publisher(Twist, "/llm/cmd_vel")
+
+        def flood() -> None:
+            while not over.is_set():
+                for _ in range(20):
+                    publisher.publish(twist(0.2))
+                time.sleep(0.005)
+
+        flooding = threading.Thread(target=flood, daemon=True)
+        flooding.start()
+        try:
+            until(lambda: 0.2 in base.speeds, "the velocity")
+            time.sleep(1)  # so that a queue without a bound would be long
+            with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
+                begun = time.monotonic()
+                assert lane.stop()["stopped"] is True
+            until(lambda: base.speeds[-1] == 0.0 and base.last_s > begun, "zero")
+        finally:
+            over.set()
+            flooding.join()
+        assert "lapsed" not in graph.said()
+
+
 def test_a_loop_that_is_stuck_says_zero_once_and_then_nothing(
     tmp_path: Path, mortal: RunningGate
 ) -> None:
@@ -350,6 +427,21 @@ def test_a_node_that_is_ended_cancels_what_runs(tmp_path: Path, mortal: RunningG
         assert graph.terminate() == 0
         assert arm.canceled == [True]
         until(lambda: outcomes(mortal) == ["aborted"], "the outcome")
+
+
+def test_a_server_that_the_graph_hides_is_told_to_cancel_all_the_same(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    """Whoever may write to the graph can claim half of a server, and it counts as away."""
+    with graph_of(tmp_path, mortal) as graph, graph.inside():
+        arm = graph.robot.arm
+        assert asked(graph, 3).accepted
+        outlet: Any = graph.mediator.body.outlets["arm"]
+        outlet._canceler.service_is_ready = lambda: False  # what the graph says from now on
+        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
+            assert lane.stop()["stopped"] is True
+        assert arm.canceled == [True]
+        assert "arm" in graph.mediator.body.missing  # nothing begins there
 
 
 def test_a_robot_that_does_not_say_whether_it_takes_a_goal_is_stopped(

@@ -105,16 +105,6 @@ def test_l16_a_granted_goal_arrives_rebuilt_and_nothing_of_the_planners_own(nav2
     assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_a_quaternion_that_is_not_unit_is_noted_and_the_identity_arrives(nav2: Nav2) -> None:
-    """A region has no orientation: what a planner says of it is recorded, and never sent."""
-    nav2.to_pose.end.set()
-    goal = nav2.ask(NavigateToPose, to(qx=3.0, qy=0.0, qz=0.0, qw=7.0))
-    assert goal.accepted
-    (reached,) = nav2.reached
-    assert reached == to((4.0, 5.0))
-    assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
-
-
 ISOLATED = pose(ISOLATION)
 REFUSED: list[tuple[str, Any, Any, str]] = [
     ("another room", NavigateToPose, to(ISOLATION), "DESTINATION_OUT_OF_SCOPE"),
@@ -126,6 +116,8 @@ REFUSED: list[tuple[str, Any, Any, str]] = [
     ("x that is no number", NavigateToPose, to((math.nan, 5.0)), "MALFORMED"),
     ("y without an end", NavigateToPose, to((4.0, math.inf)), "MALFORMED"),
     ("an orientation that is none", NavigateToPose, to(qw=math.nan), "MALFORMED"),
+    ("a quaternion that is not unit", NavigateToPose, to(qx=3.0, qw=7.0), "MALFORMED"),
+    ("a quaternion of zeros", NavigateToPose, to(qw=0.0), "MALFORMED"),
     ("no pose", FollowWaypoints, FollowWaypoints.Goal(), "VALUE_INVALID"),
     ("no poses", NavigateThroughPoses, through(), "VALUE_INVALID"),
     ("a room between", NavigateThroughPoses, through(ISOLATED, pose()), "ROUTE_OUT_OF_SCOPE"),

@@ -43,6 +43,8 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.envelope import seal
 from authguard_r.ros.map import parse_map
 from authguard_r.ros.nodes.estimator import Estimate, _fail, _raised
+from authguard_r.ros.nodes.heartbeat import ALL
+from authguard_r.ros.nodes.heartbeat import Told as Without
 from authguard_r.ros.nodes.localization import Localization
 from authguard_r.ros.position import Fix, Track, Why
 from authguard_r.ros.rights import rights_of
@@ -424,16 +426,18 @@ def test_a_planner_has_no_way_to_make_a_robot_believe_another_place(
 
 
 class Ears:
-    """What hears transforms, in this process; its executor runs one callback at a time."""
+    """What hears where a robot is, in this process; its executor runs one callback at a time."""
 
-    def __init__(self, domain: int) -> None:
-        text = map_with(domain)
+    def __init__(
+        self, domain: int, robot: type[Walker] = Turned, told: Without = ALL, **position: Any
+    ) -> None:
+        text = map_with(domain, **position)
         position = parse_map(text, where="map").position
         assert position is not None
         self.track = Track(max_speed_mm_s=1_500, margin_mm=position.margin_mm)
         self.peer = Peer("authguard_estimator", domain)
-        self.heard = Localization(self.peer.node, position, self.track, Log())
-        self.robot = Turned(domain)
+        self.heard = Localization(self.peer.node, position, self.track, Log(), told=told)
+        self.robot: Any = robot(domain)
 
     def sound(self) -> None:
         until(lambda: self.heard.fix, "a position", seconds=20)
@@ -545,6 +549,29 @@ def test_what_never_changes_is_said_in_one_way(ears: Ears) -> None:
     ears.robot.lasting.publish(lasting(0.1, 300))
     ears.doubtful(Why.TOO_MUCH)
     ears.sound()
+
+
+def test_one_publisher_of_odometry_is_believed_where_nobody_says_whose_a_sample_is() -> None:
+    domain = next_domain()
+    ears = Ears(domain, Walker, Without(ids=False), odometry="/odom")
+    try:
+        ears.sound()
+        other = Walker(domain, name="other")
+        try:
+            ears.doubtful(Why.UNNAMED)
+        finally:
+            other.close()
+        ears.sound()
+    finally:
+        ears.close()
+
+
+def test_transforms_are_not_believed_where_nobody_says_whose_a_sample_is() -> None:
+    ears = Ears(next_domain(), Turned, Without(ids=False))
+    try:
+        ears.doubtful(Why.UNNAMED)
+    finally:
+        ears.close()
 
 
 def test_an_rclpy_that_does_not_say_who_published_is_not_believed(ears: Ears) -> None:

@@ -77,9 +77,12 @@ def fault_of(placed: Placed) -> Why | None:
     """Return why this is no place at all; None: it is one."""
     if not all(math.isfinite(value) for part in placed for value in part):
         return Why.NOT_FINITE
-    if abs(math.hypot(*placed.turned) - 1.0) > UNIT:
-        return Why.NOT_UNIT
-    return None
+    return None if is_unit(placed.turned) else Why.NOT_UNIT
+
+
+def is_unit(turned: Quaternion) -> bool:
+    """Return True of an orientation that is one: its length is 1, by `UNIT`."""
+    return abs(math.hypot(*turned) - 1.0) <= UNIT
 
 
 class Frames:

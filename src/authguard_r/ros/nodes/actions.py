@@ -66,7 +66,7 @@ def read_call(item: Mediated, message: Any) -> Call | MalformedError:
         message: untrusted.
     """
     try:
-        return call_of(item, plain_of(message, where=FORMS[item.kind].body))
+        return call_of(item, plain_of(message, where=FORMS[item.kind].body, is_asked=True))
     except MalformedError as error:
         return error
 
@@ -224,7 +224,8 @@ class ActionInlet:
             try:
                 if len(noted) > _MOST_NOTED:
                     noted.clear()
-                texts = [text for text in texts_of(feedback) if text not in noted]
+                # numbers say something too: without a word, that there was one is noted
+                texts = [text for text in texts_of(feedback) or ("",) if text not in noted]
                 await self._public.proposals.note(texts)
                 noted.update(texts)
                 handle.publish_feedback(feedback)

@@ -75,9 +75,10 @@ class Canceler:
         for asked in [a for a, ns in self._asked.items() if now_ns - ns >= FORGET_MS * MS]:
             self._client.remove_pending_request(asked)
             del self._asked[asked]
-        if not self._is_there():
-            self._is_owed = self._is_owed and is_lost  # its goals went with it
-        elif (is_lost or self._is_owed) and now_ns >= self._due_ns:
+        if not self._is_there() and not is_lost:
+            self._is_owed = False  # its goals went with it, and a node that is back asks it too
+        # the graph is not believed: who can hide a server there would have its goals go on
+        if (is_lost or self._is_owed) and now_ns >= self._due_ns:
             # an id and a time of zero mean every goal
             asked = self._client.call_async(CancelGoal.Request())
             self._asked[asked], self._due_ns = now_ns, now_ns + self._pause_ms * MS
@@ -88,6 +89,7 @@ class Canceler:
         """Return whether the server can be asked, and say it when that changes."""
         was_found, self._is_found = self._is_found, self._client.service_is_ready()
         if was_found is not self._is_found:
+            self._due_ns, self._pause_ms = 0, AGAIN_MS
             self._log.say("found" if self._is_found else "gone", self._action)
         return self._is_found
 

@@ -25,6 +25,8 @@ from authguard_r.tools.server import Answer
 
 #: A server that lives says within this whether it takes a goal, in seconds.
 TAKE_S = 2.0
+#: A server that the graph does not know of, and that is there, answers within this, in seconds.
+UNSEEN_S = 0.3
 #: A goal that nobody answered for so long, of a server that answers, never arrived, in seconds.
 _LOST_S = 5.0
 #: Between two looks whether the server is there, in seconds.
@@ -137,13 +139,19 @@ class ActionOutlet:
             self._robot.astray()
 
     async def stop(self) -> bool:
-        """Cancel every goal, and wait until the server has said of each that it is over."""
-        if not self._canceler.service_is_ready():
-            return not self._goals
+        """Cancel every goal, and wait until the server has said of each that it is over.
+
+        It is asked whether or not the graph knows of it: whoever may write to the graph could hide
+        it there. One that is not there has nothing to say, and of ours it runs nothing.
+        """
+        is_hidden = not self._canceler.service_is_ready() and not self._goals
         self._stopping += 1
         try:
-            async with asyncio.timeout(STOP_S):
+            async with asyncio.timeout(UNSEEN_S if is_hidden else STOP_S) as patience:
                 said = await self._ask(self._canceler, CancelGoal.Request())
+                if is_hidden:
+                    is_hidden = False
+                    patience.reschedule(asyncio.get_running_loop().time() + STOP_S)
                 going = dict(self._active)
                 going |= {bytes(one.goal_id.uuid): one.goal_id for one in said.goals_canceling}
                 going |= {key: goal.id for key, goal in self._goals.items() if goal.is_taken}
@@ -152,7 +160,7 @@ class ActionOutlet:
                     self._news.clear()
                     await self._news.wait()
         except TimeoutError:
-            return False
+            return is_hidden
         finally:
             self._stopping -= 1
         self._goals.clear()
@@ -215,7 +223,11 @@ class ActionOutlet:
         self._robot.spinner.begin(self._ask(self._canceler, request))
 
     async def _ask(self, client: Any, request: Any) -> Any:
-        return await self._robot.spinner.ask(partial(client.call_async, request))
+        asked = client.call_async(request)
+        try:
+            return await self._robot.spinner.ask(lambda: asked)
+        finally:  # nobody waits for it any more
+            client.remove_pending_request(asked)
 
     def _fed(self, message: Any) -> None:
         """Take in how a goal of ours goes; the first word may come before its acceptance."""

@@ -48,6 +48,10 @@ class Inbox(Generic[T]):
             self._news.clear()
         return self._items.popleft()
 
+    def clear(self) -> None:
+        """Let nothing of what came until now wait any longer; in the event loop."""
+        self._items.clear()
+
     def shed(self) -> int:
         """Return how many were shed since this was asked before; in the event loop."""
         shed = self._shed - self._said

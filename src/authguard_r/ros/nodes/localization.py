@@ -13,13 +13,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from authguard_r.client.link import Log
 from authguard_r.ros.map import Position
 from authguard_r.ros.names import Part
-from authguard_r.ros.nodes.heartbeat import require_name, steady
+from authguard_r.ros.nodes.heartbeat import ALL, Told, require_name, steady
 from authguard_r.ros.nodes.values import load_type
 from authguard_r.ros.position import MS, Fix, Sample, Stamps, Track, Why, covariance_fault
 from authguard_r.ros.transforms import (
@@ -61,13 +62,19 @@ class Localization:
         position: where to hear it.
         track: judges it.
         log: says why nothing is attested, and when something is again.
+        told: what is asked of the middleware.
 
     Raises:
         EnvironmentFault: the type is not installed, or a name is remapped.
     """
 
-    def __init__(self, node: Node, position: Position, track: Track, log: Log) -> None:
+    def __init__(
+        self, node: Node, position: Position, track: Track, log: Log, *, told: Told = ALL
+    ) -> None:
         self._node = node
+        self._told = told
+        #: the one publisher of odometry, where `rclpy` does not name who says what; empty: several
+        self._only = b""
         self._position = position
         self._track = track
         self._log = log
@@ -104,7 +111,15 @@ class Localization:
         def heard(message: Any, origin: Mapping[str, Any]) -> None:
             take(message, origin)
 
-        self._node.create_subscription(loaded, topic, heard, _qos(lasting=lasting))
+        events = SubscriptionEventCallbacks(matched=self._matched) if kind == ODOMETRY else None
+        self._node.create_subscription(
+            loaded, topic, heard, _qos(lasting=lasting), event_callbacks=events
+        )
+
+    def _matched(self, event: Any) -> None:
+        """Name the one publisher of odometry by when it was found: another one is another."""
+        is_only = event.current_count == 1
+        self._only = b"only %d" % event.total_count if is_only else b""
 
     def _take(
         self,
@@ -114,8 +129,8 @@ class Localization:
     ) -> None:
         """Take a message; the clock is read first, so that what waited counts as late."""
         arrived_ns = time.monotonic_ns()
-        named = origin.get("publisher_gid")
-        who = b"" if named is None else bytes(named["data"])
+        named = origin.get("publisher_gid") if self._told.ids else None
+        who = self._only if named is None else bytes(named["data"])
         why = hear(message, who, arrived_ns)
         if why is not None:
             self._doubt(why)

@@ -15,11 +15,18 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.task import Future
+
+from authguard_r.client.link import Log
 
 T = TypeVar("T")
 
 #: Longest wait for the thread's end, in seconds.
 CLOSE_S = 2.0
+#: What failed beside the robot is begun again after so long, in seconds.
+AGAIN_S = 1.0
+#: What planners asked for and is not answered yet; of more each is answered at once, with no.
+MOST_WAITING = 64
 
 
 class Spinner:
@@ -38,6 +45,7 @@ class Spinner:
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._serve, name="ros", daemon=True)
         self._tasks: set[asyncio.Task[Any]] = set()
+        self._begun = self._ended = 0  # each is counted by one thread alone
         self._is_closed = False
 
     def start(self) -> None:
@@ -102,11 +110,17 @@ class Spinner:
 
         Args:
             work: what is begun.
-            otherwise: what the future brings when the work fails or is given up.
+            otherwise: what the future brings when the work fails or is given up, or when
+                `MOST_WAITING` are not done yet.
         """
-        promise = self._executor.create_future()
+        promise: Any = Future(executor=self._executor)
+        if self._begun - self._ended >= MOST_WAITING:
+            promise.set_result(otherwise)
+            return promise
+        self._begun += 1
 
         def ended(task: asyncio.Task[T]) -> None:
+            self._ended += 1
             failed = task.cancelled() or task.exception() is not None
             promise.set_result(otherwise if failed else task.result())
             self._executor.wake()
@@ -127,6 +141,16 @@ class Spinner:
             why = error
         if not self._is_closed:
             self.soon(self._failed, why)
+
+
+async def kept(work: Callable[[], Coroutine[Any, Any, None]], log: Log) -> None:
+    """Do work until this is canceled, again when it failed: it is beside what holds the robot."""
+    while True:
+        try:
+            await work()
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is said and not silent
+            log.say("failed", "beside", message=repr(error))
+        await asyncio.sleep(AGAIN_S)
 
 
 def _fill(found: asyncio.Future[T], value: T) -> None:

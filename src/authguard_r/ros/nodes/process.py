@@ -27,7 +27,7 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust
 from authguard_r.ros.map import RosMap
-from authguard_r.ros.security import require_security
+from authguard_r.ros.security import ENABLE, require_security
 
 RCLError = rclpy_implementation.RCLError
 #: What a process ends with: its words, or what they name, are wrong.
@@ -90,7 +90,7 @@ def run_node(
 
     Words of ROS (`--ros-args`) are none of its words: nobody remaps a name, moves it to another
     domain or gives it another enclave than the map says. Outside its enclave it does not start, but
-    with `--demo`, on a bench where nothing can be hurt.
+    with `--demo`, on a bench where nothing can be hurt and no word of DDS security is set.
 
     Args:
         name: of the node.
@@ -107,6 +107,12 @@ def run_node(
         ros, enclave, build = ready(*given)
         if len(given) == len(words):
             require_security(ros, enclave, os.environ)
+        elif ENABLE in os.environ:  # it would be alone beside a robot whose others are secured
+            raise EnvironmentFault(
+                f"expected no `{DEMO}` where `{ENABLE}` is set",
+                reason=Reason.STORE_UNAVAILABLE,
+                where=DEMO,
+            )
         _spin(name, ros, enclave, build)
     except AuthGuardError as error:
         log.fault(name, error)

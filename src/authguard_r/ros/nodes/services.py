@@ -91,11 +91,8 @@ class MessageInlet:
         )
 
     def _came(self, message: Any) -> None:
-        """Take a message on the thread of ROS."""
-        self._public.spinner.soon(self._heard, read_call(self._item, message))
-
-    def _heard(self, read: Call | MalformedError) -> None:
-        self._public.spinner.begin(self._propose(read))
+        """Take a message on the thread of ROS; nobody waits for an answer."""
+        self._public.spinner.later(partial(self._propose, read_call(self._item, message)), None)
 
     async def _propose(self, read: Call | MalformedError) -> None:
         code, asked = await propose(self._public, self._item, read, [])

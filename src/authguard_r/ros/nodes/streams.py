@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import deque
 from contextlib import suppress
 from typing import Any
 
@@ -24,6 +23,8 @@ from authguard_r.normalize.dialects import Call, Dialect, read_reply
 from authguard_r.ros.calls import DURATION, FORMS, call_of
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.actions import Public
+from authguard_r.ros.nodes.inbox import Inbox
+from authguard_r.ros.nodes.loop import kept
 from authguard_r.ros.nodes.proposals import code_of
 from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.planner import LostError
@@ -36,8 +37,7 @@ PAUSE_S = 1.0
 GAP_S = 0.011
 _DEPTH = 10
 #: Samples that wait for the gate; of more the oldest are dropped.
-_MOST_WAITING = 5
-_LOOK_S = 0.05
+MOST_WAITING = 5
 
 
 class StreamInlet:
@@ -54,43 +54,46 @@ class StreamInlet:
     def __init__(self, public: Public, key: str, item: Mediated, kind: Any, binder: Binder) -> None:
         self._public, self._key, self._item, self._binder = public, key, item, binder
         self._loop = public.spinner.loop
-        self._waiting: deque[dict[str, int] | None] = deque(maxlen=_MOST_WAITING)
-        self._news = asyncio.Event()
-        self._stream: asyncio.Task[None] | None = None
-        self._sender: bytes = b""
-        self._heard_s = self._paused_s = self._told_s = self._loop.time() - PAUSE_S
+        #: of more than wait for the gate, the oldest are dropped
+        self._came: Inbox[tuple[Any, bytes]] = Inbox(public.spinner, MOST_WAITING, is_newest=True)
+        self._sender: bytes | None = None  # whose stream is open; None: nobody's
+        self._paused_s = self._told_s = self._loop.time() - PAUSE_S
         public.spinner.node.create_subscription(
-            kind, item.public, self._came, _DEPTH, callback_group=public.group
+            kind, item.public, self._take, _DEPTH, callback_group=public.group
         )
+        public.spinner.soon(lambda: public.spinner.begin(kept(self.stay, public.log)))
 
-    def _came(self, message: Any, info: Any) -> None:
-        """Take a message on the thread of ROS."""
-        self._public.spinner.soon(self._heard, message, _sender_of(info))
+    def _take(self, message: Any, info: Any) -> None:
+        """Take a message on the thread of ROS; one planner steers at a time."""
+        sender, steers = _sender_of(info), self._sender
+        if steers is None or sender == steers:
+            self._came.put((message, sender))
 
-    def _heard(self, message: Any, sender: bytes) -> None:
-        """Sample an open stream, or ask for one."""
-        stream = self._stream
-        if stream is not None and not stream.done() and sender != self._sender:
-            return  # one planner steers at a time
-        call, action = None, None
+    async def stay(self) -> None:
+        """Ask for a lease whenever somebody steers, and sample it, until this is canceled."""
+        while True:
+            message, sender = await self._came.take()
+            call, sample = self._read(message)
+            is_paused = self._loop.time() - self._paused_s < PAUSE_S
+            if call is not None and sample is not None and any(sample.values()) and not is_paused:
+                self._sender = sender
+                try:
+                    await self._ask(call, sample)
+                finally:
+                    self._sender = None
+                    self._came.clear()  # an old velocity is worth nothing
+            # no planner keeps the loop that holds the robot, however many velocities it sends
+            await asyncio.sleep(GAP_S)
+
+    def _read(self, message: Any) -> tuple[Call | None, dict[str, int] | None]:
+        """Return the call that a message is, and its velocities; None: it is not, or has none."""
+        call = None
         try:
-            call = call_of(self._item, plain_of(message, where="msg"))
-            action = self._binder.bind(_exact(call))
+            call = call_of(self._item, plain_of(message, where="msg", is_asked=True))
+            return call, _sample(self._binder.bind(_exact(call)))
         except MalformedError as error:
             self._refused(error)
-        self._heard_s = self._loop.time()
-        sample = None if action is None else _sample(action)
-        if stream is not None and not stream.done():
-            self._waiting.append(sample)
-            self._news.set()
-        elif call is not None and sample is not None and self._may_ask(sample):
-            self._sender = sender
-            self._waiting.clear()
-            self._stream = self._public.spinner.begin(self._ask(call, sample))
-
-    def _may_ask(self, sample: dict[str, int]) -> bool:
-        """True of a velocity that is one, unless there was a refusal just now."""
-        return any(sample.values()) and self._heard_s - self._paused_s >= PAUSE_S
+            return call, None
 
     def _refused(self, error: MalformedError) -> None:
         """Have what is no velocity logged, once in a while."""
@@ -127,15 +130,13 @@ class StreamInlet:
         """Send on what comes, as long as something comes; then end the stream."""
         try:
             await stream.sample(first)  # so that its silence counts, too
-            await asyncio.sleep(GAP_S)
-            while self._loop.time() - self._heard_s < SILENT_S:
-                while self._waiting:
-                    sample = self._waiting.popleft()
-                    await stream.sample(sample or dict.fromkeys(first, 0))
+            with suppress(TimeoutError):
+                while True:
                     await asyncio.sleep(GAP_S)
-                self._news.clear()
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(self._news.wait(), _LOOK_S)
+                    async with asyncio.timeout(SILENT_S):
+                        message, _ = await self._came.take()
+                    _, sample = self._read(message)
+                    await stream.sample(sample or dict.fromkeys(first, 0))
             await stream.close()
         except AuthGuardError:  # it is over, or the gate is: the proposal's answer says which
             return

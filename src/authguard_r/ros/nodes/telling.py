@@ -6,13 +6,11 @@ Spec page: docs/spec/ros.md
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 from authguard_r.client.controller import ControllerDesk
 from authguard_r.client.keeping import GatePlace
-from authguard_r.client.link import Log
 from authguard_r.ros.channels import require_channels
 from authguard_r.ros.map import RosMap
 from authguard_r.ros.names import Part
@@ -20,13 +18,12 @@ from authguard_r.ros.nodes.actions import Public
 from authguard_r.ros.nodes.body import RosBody
 from authguard_r.ros.nodes.decisions import Decisions
 from authguard_r.ros.nodes.diagnostics import Diagnostics
+from authguard_r.ros.nodes.loop import kept
 from authguard_r.ros.nodes.shown import Relay
 from authguard_r.ros.nodes.values import load_type
 from authguard_r.ros.nodes.words import TextInlet
 from authguard_r.site.model import Site
 
-#: Work that failed is begun again after so long, in seconds.
-AGAIN_S = 1.0
 _DECISION = "authguard_interfaces/msg/Decision"
 _STATUS = "authguard_interfaces/msg/GateStatus"
 
@@ -76,13 +73,3 @@ class Telling:
             work.append(TextInlet(public, ros.proposals).stay)
         for one in work:
             public.spinner.soon(lambda one=one: public.spinner.begin(kept(one, public.log)))
-
-
-async def kept(work: Callable[[], Coroutine[Any, Any, None]], log: Log) -> None:
-    """Do work until this is canceled, again when it failed: a display's fault stops no robot."""
-    while True:
-        try:
-            await work()
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is said and not silent
-            log.say("failed", "beside", message=repr(error))
-        await asyncio.sleep(AGAIN_S)

@@ -28,6 +28,7 @@ from rosidl_parser.definition import (
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.ros.names import Part, part_of
+from authguard_r.ros.transforms import Quaternion, is_unit
 
 #: Most values of one message: more than any goal has, and soon refused.
 MAX_VALUES = 20_000
@@ -63,7 +64,7 @@ def load_type(name: str, part: Part) -> Any:
     return found
 
 
-def plain_of(message: Any, *, where: str = "") -> dict[str, Any]:
+def plain_of(message: Any, *, where: str = "", is_asked: bool = False) -> dict[str, Any]:
     """Return a message as plain JSON data: what it holds, and nothing else.
 
     A number of 32 bits is the shortest decimal that means it.
@@ -71,11 +72,13 @@ def plain_of(message: Any, *, where: str = "") -> dict[str, Any]:
     Args:
         message: untrusted.
         where: its place.
+        is_asked: somebody asks for what it says: an orientation has to be one.
 
     Raises:
-        MalformedError: a number that is none, or too much of everything.
+        MalformedError: a number that is none, or too much of everything; of what is asked for, a
+            quaternion whose length is not 1.
     """
-    return _Reader().message(message, where)
+    return _Reader(is_asked=is_asked).message(message, where)
 
 
 def message_of(kind: Any, plain: Any, *, where: str = "") -> Any:
@@ -117,18 +120,26 @@ def _class_of(namespaces: tuple[str, ...], name: str) -> Any:
     return getattr(import_module(".".join(namespaces)), name)
 
 
+def _is_quaternion(kind: Any) -> bool:
+    return bool(kind.__name__ == "Quaternion" and kind.__module__.startswith("geometry_msgs."))
+
+
 class _Reader:
     """Reads one message; counts what it has read."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_asked: bool) -> None:
         self._left = MAX_VALUES
+        self._is_asked = is_asked
 
     def message(self, message: Any, where: str) -> dict[str, Any]:
         own: Any = type(message)
-        return {
+        read = {
             name: self._value(kind, getattr(message, name), _below(where, name))
             for name, kind in _fields(own).items()
         }
+        if self._is_asked and _is_quaternion(own) and not is_unit(Quaternion(**read)):
+            raise MalformedError("expected a quaternion of length 1", where=where)
+        return read
 
     def _value(self, kind: Any, value: Any, where: str) -> Any:
         if isinstance(kind, NamespacedType):
