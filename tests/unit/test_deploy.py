@@ -192,6 +192,19 @@ def test_each_process_on_ros_is_a_user_of_its_own_and_two_alone_reach_the_gate()
         assert found["IPAddressAllow"] == ["localhost"]
 
 
+def test_the_robots_own_process_can_serve_its_sensors_where_the_estimator_looks() -> None:
+    """The gate's run folder is the gate's to write: this one is the sensors' group's."""
+    found = ros_unit("estimator")
+    words = shlex.split(found["ExecStart"][0])
+    folder = words[words.index("--run") + 1]
+    made, linked = (shlex.split(line.removeprefix("+")) for line in found["ExecStartPre"])
+    assert made[1:] == ["-d", "-o", found["User"][0], "-g", "authguard-body", "-m", "2770", folder]
+    assert linked[1:] == ["-sfn", "/run/authguard-r/%i/gate.sock", f"{folder}/gate.sock"]
+    robots = (DEPLOY / "sysusers.d" / "authguard-r.conf").read_text(encoding="utf-8")
+    assert (found["User"][0], "authguard-body") in re.findall(r"^m (\S+) +(\S+)$", robots, re.M)
+    assert "authguard-planner authguard-body" not in robots
+
+
 def test_what_stops_a_robot_on_ros_outlives_the_gates_node() -> None:
     for name in ON_ROS:
         found = ros_unit(name)
