@@ -201,7 +201,9 @@ def test_the_robots_own_process_can_serve_its_sensors_where_the_estimator_looks(
     assert made[1:] == ["-d", "-o", found["User"][0], "-g", "authguard-body", "-m", "2770", folder]
     assert linked[1:] == ["-sfn", "/run/authguard-r/%i/gate.sock", f"{folder}/gate.sock"]
     robots = (DEPLOY / "sysusers.d" / "authguard-r.conf").read_text(encoding="utf-8")
-    assert (found["User"][0], "authguard-body") in re.findall(r"^m (\S+) +(\S+)$", robots, re.M)
+    assert (found["User"][0], "authguard-body") in re.findall(
+        r"^m (\S+) +(\S+)$", robots, re.MULTILINE
+    )
     assert "authguard-planner authguard-body" not in robots
 
 
