@@ -134,9 +134,10 @@ class StreamInlet:
                 while True:
                     await asyncio.sleep(GAP_S)
                     async with asyncio.timeout(SILENT_S):
-                        message, _ = await self._came.take()
-                    _, sample = self._read(message)
-                    await stream.sample(sample or dict.fromkeys(first, 0))
+                        message, sender = await self._came.take()
+                    if sender == self._sender:  # another's may have waited before it was anybody's
+                        _, sample = self._read(message)
+                        await stream.sample(sample or dict.fromkeys(first, 0))
             await stream.close()
         except AuthGuardError:  # it is over, or the gate is: the proposal's answer says which
             return
