@@ -164,6 +164,16 @@ def test_a_bench_is_no_place_for_a_root_in_earnest() -> None:
         require_bench(house().trust(), demo=True)
 
 
+def test_a_bench_is_no_place_where_dds_security_is_spoken_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A node without it would stand beside a dead-man that cannot start."""
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "false")
+    with pytest.raises(EnvironmentFault, match="ROS_SECURITY_ENABLE"):
+        require_bench(read_trust(worlds.trust_folder()), demo=True)
+    require_bench(read_trust(worlds.trust_folder()), demo=False)
+
+
 def test_it_is_cleaned_up_configured_anew_and_shut_down(graph: Graph) -> None:
     graph.start(managed=True)
     manager = Manager(graph)

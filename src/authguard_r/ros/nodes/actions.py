@@ -21,6 +21,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.map import Mediated
@@ -143,8 +144,12 @@ class ActionInlet:
 
     async def _asked(self, goal: Any) -> GoalResponse:
         decide = partial(self._decided, goal, read_call(self._item, goal))
-        answer = await self._spinner.later(decide, GoalResponse.REJECT)
+        answer = await self._spinner.later(decide, GoalResponse.REJECT, busy=self._busy)
         return answer or GoalResponse.REJECT
+
+    def _busy(self) -> GoalResponse:
+        self._public.log.say("refused", self._key, reason=str(Reason.BUSY))
+        return GoalResponse.REJECT
 
     def _canceled(self, handle: Any) -> CancelResponse:
         """Forward it at once: to stop is never refused."""

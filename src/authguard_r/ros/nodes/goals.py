@@ -112,6 +112,11 @@ class ActionOutlet:
             and all(topic.get_publisher_count() > 0 for topic in self._heard)
         )
 
+    @property
+    def _runs_unseen(self) -> bool:
+        """True while somebody there says that goals run, though the rest of it is not seen."""
+        return bool(self._active) and self._heard[-1].get_publisher_count() > 0
+
     def begin(self, order: Order) -> None:
         """Send the goal."""
         goal = _Goal(order)
@@ -144,13 +149,13 @@ class ActionOutlet:
         It is asked whether or not the graph knows of it: whoever may write to the graph could hide
         it there. One that is not there has nothing to say, and of ours it runs nothing.
         """
-        is_hidden = not self._canceler.service_is_ready() and not self._goals
+        is_unseen = not self._canceler.service_is_ready()
         self._stopping += 1
         try:
-            async with asyncio.timeout(UNSEEN_S if is_hidden else STOP_S) as patience:
+            async with asyncio.timeout(UNSEEN_S if is_unseen else STOP_S) as patience:
                 said = await self._ask(self._canceler, CancelGoal.Request())
-                if is_hidden:
-                    is_hidden = False
+                if is_unseen:
+                    is_unseen = False
                     patience.reschedule(asyncio.get_running_loop().time() + STOP_S)
                 going = dict(self._active)
                 going |= {bytes(one.goal_id.uuid): one.goal_id for one in said.goals_canceling}
@@ -160,7 +165,7 @@ class ActionOutlet:
                     self._news.clear()
                     await self._news.wait()
         except TimeoutError:
-            return is_hidden
+            return is_unseen and not self._goals and not self._runs_unseen
         finally:
             self._stopping -= 1
         self._goals.clear()

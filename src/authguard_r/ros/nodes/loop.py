@@ -105,17 +105,23 @@ class Spinner:
         with suppress(RuntimeError):
             self.loop.call_soon_threadsafe(call, *args)
 
-    def later(self, work: Callable[[], Coroutine[Any, Any, T]], otherwise: T) -> Any:
+    def later(
+        self,
+        work: Callable[[], Coroutine[Any, Any, T]],
+        otherwise: T,
+        *,
+        busy: Callable[[], T],
+    ) -> Any:
         """Begin work in the event loop; return a future that a callback on the thread may await.
 
         Args:
             work: what is begun.
-            otherwise: what the future brings when the work fails or is given up, or when
-                `MOST_WAITING` are not done yet.
+            otherwise: what the future brings when the work fails or is given up.
+            busy: returns what it brings when `MOST_WAITING` are not done yet.
         """
         promise: Any = Future(executor=self._executor)
         if self._begun - self._ended >= MOST_WAITING:
-            promise.set_result(otherwise)
+            promise.set_result(busy())
             return promise
         self._begun += 1
 

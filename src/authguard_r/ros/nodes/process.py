@@ -70,11 +70,27 @@ def require_bench(trust: Trust, *, demo: bool) -> None:
     """Require that a process without DDS security trusts a demonstration alone.
 
     Raises:
-        EnvironmentFault: it would stand before a robot in earnest.
+        EnvironmentFault: it would stand before a robot in earnest, or beside secured processes.
     """
+    if demo:
+        require_unsecured()
     if demo and not trust.demo:
         raise EnvironmentFault(
             f"expected no `{DEMO}`: the trust root is no demonstration's",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=DEMO,
+        )
+
+
+def require_unsecured() -> None:
+    """Require that no word of DDS security is set: on a bench all processes are without.
+
+    Raises:
+        EnvironmentFault: one is, whatever it says.
+    """
+    if ENABLE in os.environ:
+        raise EnvironmentFault(
+            f"expected no `{DEMO}` where `{ENABLE}` is set",
             reason=Reason.STORE_UNAVAILABLE,
             where=DEMO,
         )
@@ -107,12 +123,8 @@ def run_node(
         ros, enclave, build = ready(*given)
         if len(given) == len(words):
             require_security(ros, enclave, os.environ)
-        elif ENABLE in os.environ:  # it would be alone beside a robot whose others are secured
-            raise EnvironmentFault(
-                f"expected no `{DEMO}` where `{ENABLE}` is set",
-                reason=Reason.STORE_UNAVAILABLE,
-                where=DEMO,
-            )
+        else:
+            require_unsecured()
         _spin(name, ros, enclave, build)
     except AuthGuardError as error:
         log.fault(name, error)

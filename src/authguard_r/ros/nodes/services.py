@@ -52,7 +52,8 @@ class ServiceInlet:
     async def _asked(self, request: Any, _: Any) -> Any:
         silence: Any = _SILENCE
         answer = partial(self._answered, read_call(self._item, request))
-        found = await self._public.spinner.later(answer, silence)
+        busy = partial(self._refusal, Reason.BUSY)
+        found = await self._public.spinner.later(answer, silence, busy=busy)
         return _SILENCE if found is None else found
 
     async def _answered(self, read: Call | MalformedError) -> Any:
@@ -92,7 +93,11 @@ class MessageInlet:
 
     def _came(self, message: Any) -> None:
         """Take a message on the thread of ROS; nobody waits for an answer."""
-        self._public.spinner.later(partial(self._propose, read_call(self._item, message)), None)
+        propose = partial(self._propose, read_call(self._item, message))
+        self._public.spinner.later(propose, None, busy=self._busy)
+
+    def _busy(self) -> None:
+        self._public.log.say("refused", self._key, reason=str(Reason.BUSY))
 
     async def _propose(self, read: Call | MalformedError) -> None:
         code, asked = await propose(self._public, self._item, read, [])

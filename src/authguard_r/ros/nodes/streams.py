@@ -57,7 +57,7 @@ class StreamInlet:
         #: of more than wait for the gate, the oldest are dropped
         self._came: Inbox[tuple[Any, bytes]] = Inbox(public.spinner, MOST_WAITING, is_newest=True)
         self._sender: bytes | None = None  # whose stream is open; None: nobody's
-        self._paused_s = self._told_s = self._loop.time() - PAUSE_S
+        self._heard_s = self._paused_s = self._told_s = self._loop.time() - PAUSE_S
         public.spinner.node.create_subscription(
             kind, item.public, self._take, _DEPTH, callback_group=public.group
         )
@@ -67,10 +67,12 @@ class StreamInlet:
         """Take a message on the thread of ROS; one planner steers at a time."""
         sender, steers = _sender_of(info), self._sender
         if steers is None or sender == steers:
+            self._heard_s = self._loop.time()
             self._came.put((message, sender))
 
     async def stay(self) -> None:
         """Ask for a lease whenever somebody steers, and sample it, until this is canceled."""
+        self._came.clear()
         while True:
             message, sender = await self._came.take()
             call, sample = self._read(message)
@@ -130,17 +132,24 @@ class StreamInlet:
         """Send on what comes, as long as something comes; then end the stream."""
         try:
             await stream.sample(first)  # so that its silence counts, too
-            with suppress(TimeoutError):
-                while True:
-                    await asyncio.sleep(GAP_S)
-                    async with asyncio.timeout(SILENT_S):
-                        message, sender = await self._came.take()
-                    if sender == self._sender:  # another's may have waited before it was anybody's
-                        _, sample = self._read(message)
-                        await stream.sample(sample or dict.fromkeys(first, 0))
+            await asyncio.sleep(GAP_S)
+            while (message := await self._next()) is not None:
+                _, sample = self._read(message)
+                await stream.sample(sample or dict.fromkeys(first, 0))
+                await asyncio.sleep(GAP_S)
             await stream.close()
         except AuthGuardError:  # it is over, or the gate is: the proposal's answer says which
             return
+
+    async def _next(self) -> Any:
+        """Return the next message of whoever steers; None once he was silent for `SILENT_S`."""
+        while (left_s := self._heard_s + SILENT_S - self._loop.time()) > 0:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(left_s):
+                    message, sender = await self._came.take()
+                if sender == self._sender:  # another's may have waited before it was anybody's
+                    return message
+        return None
 
 
 def _exact(call: Call) -> Call:
