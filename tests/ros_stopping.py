@@ -190,10 +190,14 @@ class Actor:
         self.process.send_signal(number)
         return sent
 
-    def end(self) -> None:
-        """End it, and read the rest of what it said."""
+    def told_to_end(self) -> None:
+        """Tell it to end, and do not wait for it."""
         self.process.send_signal(signal.SIGCONT)
         self.process.terminate()
+
+    def end(self) -> None:
+        """End it, and read the rest of what it said."""
+        self.told_to_end()
         try:
             self.process.wait(_END_S)
         except subprocess.TimeoutExpired:
@@ -236,9 +240,9 @@ class Robot:
         self.map.write_text(yaml.safe_dump(map_of(next(_DOMAINS) % 100 + 1)))
         self._actors: list[Actor] = []
 
-    def start(self, role: str, *words: str) -> Actor:
+    def start(self, role: str, *words: str, waits: bool = True) -> Actor:
         """Start a process of `ros_actors`."""
-        return self._start([str(ACTORS), role, str(self.map), *words])
+        return self._start([str(ACTORS), role, str(self.map), *words], waits=waits)
 
     def run(self, module: str, *words: str, waits: bool = True, unread: bool = False) -> Actor:
         """Start a module of the package's as its own process."""
@@ -261,6 +265,8 @@ class Robot:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        for actor in self._actors:
+            actor.told_to_end()
         for actor in self._actors:
             actor.end()
         self._folder.cleanup()
@@ -291,10 +297,12 @@ class Driving:
     def __init__(
         self, robot: Robot, *, base: tuple[str, ...] = (), gate: tuple[str, ...] = ()
     ) -> None:
-        self.server = robot.start("server")
-        self.base = robot.start("base", *base)
-        self.deadman = robot.run("deadman")
-        self.gate = robot.start("gate", *gate)
+        self.server = robot.start("server", waits=False)
+        self.base = robot.start("base", *base, waits=False)
+        self.deadman = robot.run("deadman", waits=False)
+        self.gate = robot.start("gate", *gate, waits=False)
+        for actor in (self.server, self.base, self.deadman, self.gate):
+            actor.event("ready")
         self.deadman.says("armed")
         self.deadman.says('"found"')
         self.gate.tell("goal")
