@@ -53,6 +53,7 @@ from ros.hospital import BRAKES, BUDGETS, GRANTS, HERE, TOOLS  # noqa: E402
 MANY = {"repeat": 20_000, "starts": 20_000}
 #: Added at most, net of fsyncs, in milliseconds; of a flood, how often longer.
 TARGETS = {"goal acceptance": 3.0, "service": 0.5, "velocity": 0.2, "flood": 2.0}
+LOST, SLOWEST = "no velocity lost", "slowest velocity"
 #: No velocity comes later than this behind the slowest that went direct, in milliseconds.
 LATE_MS = 20.0
 FLOOD_HZ = 50
@@ -68,7 +69,11 @@ def main() -> None:
     asks.add_argument("--seconds", type=float, default=5.0, help="of velocities, each way")
     asks.add_argument("--json", type=Path)
     asks.add_argument(
-        "--require", action="append", default=[], metavar="TARGET", help="exit 1 where it is missed"
+        "--require",
+        action="append",
+        default=[],
+        choices=(*TARGETS, LOST, SLOWEST),
+        help="exit 1 where it is missed",
     )
     asks.add_argument("--be", choices=("robot", "relay", "flood"), help="one of its own processes")
     asks.add_argument("--domain", type=int, default=1, help="of that one")
@@ -237,8 +242,8 @@ def judged(found: dict[str, Any]) -> dict[str, Any]:
     lost = velocity["gate, lost"]
     return {
         **told,
-        "no velocity lost": {"target": 0, "reached": lost, "met": lost == 0},
-        "slowest velocity": {"target": LATE_MS, "reached": round(late, 3), "met": late <= LATE_MS},
+        LOST: {"target": 0, "reached": lost, "met": lost == 0},
+        SLOWEST: {"target": LATE_MS, "reached": round(late, 3), "met": late <= LATE_MS},
     }
 
 
