@@ -159,6 +159,7 @@ def test_a_resume_after_a_crash_names_what_has_to_be_resolved_and_how(desk: Desk
     moving.join(60)
     desk.gate.start_gate()
     held = until(lambda: suspended(desk), "the recovery")
+    until(lambda: "recovery" in [line["event"] for line in journal(desk)], "its line")
     code, said = desk.json("resume", token, "--trust", desk.gate.trust, *desk.at)
     assert (code, said["error"]["code"]) == (1, "TRANSITION_REFUSED")
     (ticket,) = held["open"]
