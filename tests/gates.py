@@ -51,6 +51,12 @@ from authguard_r.wire.frames import Frame, FrameReader, frame
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, Mode
 
 AUTHGUARD = Path(sys.executable).parent / "authguard"
+#: Starts what it is given, measured.
+MEASURED = (
+    sys.executable,
+    str(worlds.ROOT / "tests" / "measured.py"),
+    str(worlds.ROOT / "pyproject.toml"),
+)
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 60.0
 #: Every role that a configuration can give.
@@ -105,6 +111,21 @@ def environment(*, measured: bool) -> dict[str, str]:
     if measured and Coverage.current() is not None:
         env |= {"COVERAGE_PROCESS_START": str(worlds.ROOT / "pyproject.toml")}
     return env
+
+
+def authguard(*words: object, measured: bool = True) -> list[str]:
+    """Return what starts a command of ours; what a measured one runs through counts as covered."""
+    said = [str(word) for word in words]
+    if not measured or Coverage.current() is None:
+        return [str(AUTHGUARD), *said]
+    return [*MEASURED, *said]
+
+
+def module(name: str) -> list[str]:
+    """Return what starts a module of ours, measured as the tests are."""
+    if Coverage.current() is None:
+        return [sys.executable, "-m", name]
+    return [*MEASURED, name]
 
 
 class RunningGate:
@@ -258,8 +279,8 @@ class RunningGate:
         """Start one command of the program with `--json`; it is ended with the gate."""
         self._count += 1
         out, err = (self.folder / f"{self._count}-{name}.{end}" for end in ("out", "err"))
-        said = [str(AUTHGUARD), name, *(str(word) for word in words), "--json"]
-        env = environment(measured=name == "gate")
+        said = authguard(name, *words, "--json", measured=name == "gate")
+        env = environment(measured=False)
         with out.open("wb") as to, err.open("wb") as errors:
             process = subprocess.Popen(
                 said, stdin=subprocess.DEVNULL, stdout=to, stderr=errors, env=env, cwd=worlds.ROOT

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import inspect_ai
+from coverage import process_startup
 from inspect_ai.agent import handoff, react
 from inspect_ai.dataset import Sample
 from inspect_ai.model import ChatMessageAssistant, execute_tools, get_model
@@ -24,11 +25,16 @@ from inspect_ai.solver import basic_agent, generate, use_tools
 from inspect_ai.tool import ToolCall, ToolDef, ToolError, tool, web_search
 from inspect_ai.tool._tool_call import default_tool_call_viewer
 
-from authguard_r.adapters import Guard, NotDone, turns
-from authguard_r.adapters.inspect import authguard, guard_tools
-from authguard_r.core.errors import AuthGuardError
-
+# Inspect takes seconds to import, and twice as long where it is traced
 GIVEN = json.loads(sys.argv[1])
+if GIVEN.get("coverage"):
+    os.environ["COVERAGE_PROCESS_START"] = GIVEN["coverage"]
+    process_startup()
+
+from authguard_r.adapters import Guard, NotDone, turns  # noqa: E402 - after what starts to trace
+from authguard_r.adapters.inspect import authguard, guard_tools  # noqa: E402
+from authguard_r.core.errors import AuthGuardError  # noqa: E402
+
 CALLS = Path(GIVEN["calls"])
 
 

@@ -35,6 +35,7 @@ except ImportError:  # an environment that measures no lines
     Coverage = None
 
 ACTORS = Path(__file__).with_name("ros_actors.py")
+MEASURED = Path(__file__).with_name("measured.py")
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 60.0
@@ -91,7 +92,11 @@ class Actor:
         env = {name: value for name, value in os.environ.items() if "ROS_WHEELS" not in name}
         env |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": str(SOURCE)}
         if Coverage is not None and Coverage.current() is not None:
-            env |= {"COVERAGE_PROCESS_START": str(SOURCE.parent / "pyproject.toml")}
+            config = str(SOURCE.parent / "pyproject.toml")
+            if words[0] == "-m":
+                words = [str(MEASURED), config, *words[1:]]
+            else:
+                env |= {"COVERAGE_PROCESS_START": config}
         self.process = subprocess.Popen(
             [python, "-u", *words],
             env=env,

@@ -29,7 +29,7 @@ from cryptography.x509.oid import NameOID
 
 import worlds
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, environment, until
+from gates import PATIENCE_S, RunningGate, authguard, environment, until
 
 TOKEN = "t" * 40
 BEARER = {"authorization": f"Bearer {TOKEN}"}
@@ -107,9 +107,8 @@ class Served:
 
 def words(gate: RunningGate, *more: object, token: bool = True) -> list[str]:
     """Return the command of a decision point before a gate."""
-    said: list[object] = [AUTHGUARD, "serve", "--robot", gate.rid, "--run", gate.run]
-    said += ["--trust", gate.trust, *more]
-    return [*map(str, said), *(("--token-file", str(token_file(gate))) if token else ())]
+    said = authguard("serve", "--robot", gate.rid, "--run", gate.run, "--trust", gate.trust, *more)
+    return [*said, *(("--token-file", str(token_file(gate))) if token else ())]
 
 
 def token_file(gate: RunningGate) -> Path:
@@ -136,7 +135,7 @@ def serving(gate: RunningGate, *more: object, token: bool = True) -> Iterator[Se
             words(gate, *more, token=token),
             stdin=subprocess.DEVNULL,
             stderr=log,
-            env=environment(measured=True),
+            env=environment(measured=False),
             cwd=worlds.ROOT,
         )
     try:

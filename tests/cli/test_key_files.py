@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import (
     BestAvailableEncryption,
@@ -31,7 +30,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 import worlds
 from authguard_r.cli import call
-from authguard_r.cli.app import app
+from authguard_r.cli.app import program
 from authguard_r.cli.inputs import wall_now
 from authguard_r.core.encoding import encode
 from authguard_r.keys.certificate import Role, build_leaf
@@ -281,7 +280,7 @@ def test_a_site_is_signed_with_a_sealed_key(shell: Shell) -> None:
 
 
 def test_every_command_that_takes_a_persons_key_takes_a_passphrase_file() -> None:
-    found = dict(commands(typer.main.get_command(app), ""))
+    found = dict(commands(program(), ""))
     taking = {name for name, options in found.items() if "--key" in options}
     assert len(taking) > 10
     without = {name for name in taking if "--passphrase-file" not in found[name]}
@@ -290,11 +289,9 @@ def test_every_command_that_takes_a_persons_key_takes_a_passphrase_file() -> Non
 
 
 def test_no_command_takes_a_passphrase_as_an_argument_or_from_the_environment() -> None:
-    for name, options in commands(typer.main.get_command(app), ""):
+    for name, options in commands(program(), ""):
         assert not {"--passphrase", "--pin", "--password"} & set(options), name
-    assert all(
-        getattr(option, "envvar", None) is None for option in every(typer.main.get_command(app))
-    )
+    assert all(getattr(option, "envvar", None) is None for option in every(program()))
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, list[str]]]:

@@ -54,6 +54,7 @@ def work(robot: Courier, *turns: Any, policy: str | None = POLICY, **more: Any) 
             "calls": str(robot.calls_file),
             "logs": str(robot.folder / "logs"),
             "model": model.url,
+            "coverage": environment(measured=True).get("COVERAGE_PROCESS_START"),
             **more,
         }
         if policy is not None:
@@ -62,7 +63,7 @@ def work(robot: Courier, *turns: Any, policy: str | None = POLICY, **more: Any) 
             given["policy"] = str(written)
         done = subprocess.run(
             [Path(ENVIRONMENT) / "bin" / "python", WORKER, json.dumps(given)],
-            env={**environment(measured=True), "PYTHONPATH": ""},
+            env={**environment(measured=False), "PYTHONPATH": ""},
             cwd=worlds.ROOT,
             capture_output=True,
             text=True,
@@ -255,7 +256,7 @@ def test_the_example_runs_as_it_is_written(robot: Courier) -> None:
         ]
         done = subprocess.run(
             [str(word) for word in (Path(ENVIRONMENT) / "bin" / "inspect", *words)],
-            env={**environment(measured=True), "PYTHONPATH": "", "LOCAL_API_KEY": "none"},
+            env={**environment(measured=False), "PYTHONPATH": "", "LOCAL_API_KEY": "none"},
             cwd=worlds.ROOT,
             capture_output=True,
             text=True,

@@ -25,7 +25,7 @@ from authguard_r.assembly import folder_signer
 from authguard_r.core.approval import Verdict
 from authguard_r.mcp import asking as gateway_asking
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, RunningGate, environment
+from gates import RunningGate, authguard, environment
 
 ERAS = ("legacy", "auto")
 SERVER = worlds.ROOT / "tests" / "courier_server.py"
@@ -59,11 +59,9 @@ class House:
         gate = self.gate
         words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
         words += ["--binding", gate.binding, "--trust", gate.trust]
-        words += ["--", sys.executable, SERVER, self.calls]
+        command, *words = authguard(*words, "--", sys.executable, SERVER, self.calls)
         started = StdioServerParameters(
-            command=str(AUTHGUARD),
-            args=[str(word) for word in words],
-            env=environment(measured=True),
+            command=command, args=words, env=environment(measured=False)
         )
 
         async def shown(_context: Any, params: Any) -> types.ElicitResult:

@@ -59,7 +59,7 @@ from authguard_r.tools.planner import Asked
 from authguard_r.tools.server import CallError
 from authguard_r.wire.messages import ClientRole, Mode
 from courier_server import FIELDS
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, environment, until
+from gates import AUTHGUARD, PATIENCE_S, RunningGate, authguard, environment, until
 from guarded import often
 from worlds import ROOT
 
@@ -113,17 +113,16 @@ class House:
     def words(self, *faults: str, more: tuple[str, ...] = ()) -> list[str]:
         """Return the gateway's command, as a planner's host would start it."""
         gate = self.gate
-        words = [AUTHGUARD, "mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+        words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
         words += ["--binding", gate.binding, "--trust", gate.trust, *more, "--"]
-        words += [sys.executable, SERVER, self.calls_file, *faults]
-        return [str(word) for word in words]
+        return authguard(*words, sys.executable, SERVER, self.calls_file, *faults)
 
     def client(self, *faults: str, era: str = "auto", more: tuple[str, ...] = ()) -> Client:
         """Return a client of the gateway."""
         command, *words = self.words(*faults, more=more)
         return Client(
             stdio_client(
-                StdioServerParameters(command=command, args=words, env=environment(measured=True))
+                StdioServerParameters(command=command, args=words, env=environment(measured=False))
             ),
             mode=era,
         )
@@ -356,7 +355,7 @@ def over_http(house: House, *faults: str) -> Iterator[tuple[str, str]]:
         house.words(*faults, more=more),
         stderr=subprocess.PIPE,
         text=True,
-        env=environment(measured=True),
+        env=environment(measured=False),
     ) as process:
         try:
             assert process.stderr is not None
@@ -732,11 +731,11 @@ def test_the_commands_say_what_becomes_of_each_tool(house: House, tmp_path: Path
     words = ["mcp-tools", "--site", str(house.gate.site), "--binding", str(house.gate.binding)]
     words += ["--out", str(pins), "--json", "--", sys.executable, str(SERVER), "calls.jsonl"]
     done = subprocess.run(
-        [AUTHGUARD, *words],
+        authguard(*words),
         capture_output=True,
         text=True,
         check=False,
-        env=environment(measured=True),
+        env=environment(measured=False),
     )
     told = json.loads(done.stdout)
     assert done.returncode == 1

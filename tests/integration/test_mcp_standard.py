@@ -15,7 +15,7 @@ import pytest
 import worlds
 from attesting import attesting
 from authguard_r.mcp.standard import MAX_MESSAGE
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, environment
+from gates import PATIENCE_S, RunningGate, authguard, environment
 
 SERVER = worlds.ROOT / "tests" / "courier_server.py"
 HELLO = {
@@ -35,8 +35,7 @@ def gate() -> Iterator[RunningGate]:
 def started(gate: RunningGate, calls: Path, **pipes: Any) -> subprocess.Popen[bytes]:
     words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
     words += ["--binding", gate.binding, "--trust", gate.trust, "--", sys.executable, SERVER, calls]
-    command = [str(word) for word in (AUTHGUARD, *words)]
-    return subprocess.Popen(command, env=environment(measured=True), **pipes)
+    return subprocess.Popen(authguard(*words), env=environment(measured=False), **pipes)
 
 
 def said(number: int, method: str, params: dict[str, Any]) -> bytes:

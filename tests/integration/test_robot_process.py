@@ -43,7 +43,7 @@ from authguard_r.wire.messages import (
     Mode,
     Renew,
 )
-from gates import environment
+from gates import authguard, environment
 from integration import scripted_gate
 from integration.scripted_gate import (
     PATIENCE,
@@ -58,7 +58,6 @@ from integration.scripted_gate import (
     welcome,
 )
 
-AUTHGUARD = Path(sys.executable).parent / "authguard"
 GATE_KEY = f"gate-{worlds.RID}"
 #: Of the robot in these tests: it stands 1,000 ms after a stop at 1,000 mm/s.
 BRAKE_MM_S2 = 1_000
@@ -80,7 +79,7 @@ class House:
         more = f"{line}      brake_mm_s2: {BRAKE_MM_S2}\n      reaction_ms: 100\n"
         (folder / "site.yaml").write_text(text.replace(line, more), encoding="utf-8")
 
-    def start(self, *words: object) -> subprocess.Popen[str]:
+    def start(self, *words: object, measured: bool = False) -> subprocess.Popen[str]:
         number = len(self.processes)
         with (self.folder / f"{number}.err").open("w") as errors:
             process = subprocess.Popen(
@@ -89,28 +88,30 @@ class House:
                 stderr=errors,
                 text=True,
                 cwd=worlds.ROOT,
-                env=environment(measured=True),
+                env=environment(measured=measured),
             )
         self.processes.append(process)
         return process
 
     def robot(self, *options: object) -> subprocess.Popen[str]:
         words = ("--site", self.folder / "site.yaml", "--robot", worlds.RID, "--run", self.run)
-        return self.start(AUTHGUARD, "robot", *words, "--trust", self.trust, "--json", *options)
+        words += ("--trust", self.trust, "--json", *options)
+        return self.start(*authguard("robot", *words))
 
     def estimator(self, *options: object) -> subprocess.Popen[str]:
         keys = self.trust / "keys"
         name = f"estimator-{worlds.RID}"
         key = ("--key", keys / f"{name}.key.pem", "--cert", keys / f"{name}.cert.pem")
         words = ("--robot", worlds.RID, "--run", self.run, "--trust", self.trust, "--json")
-        return self.start(AUTHGUARD, "estimator", *words, *key, *options)
+        return self.start(*authguard("estimator", *words, *key, *options))
 
     def driving_gate(self, renew_within_ms: int) -> subprocess.Popen[str]:
         """Start a gate, as a process of its own, that drives the robot and renews for ever."""
         keys = self.trust / "keys"
         files = (keys / f"{GATE_KEY}.key.pem", keys / f"{GATE_KEY}.cert.pem")
         program = Path(scripted_gate.__file__ or "")
-        return self.start(sys.executable, program, self.run / "gate.sock", *files, renew_within_ms)
+        words = (program, self.run / "gate.sock", *files, renew_within_ms)
+        return self.start(sys.executable, *words, measured=True)
 
     def said(self, process: subprocess.Popen[str]) -> list[dict[str, str]]:
         """Return what a process has logged."""

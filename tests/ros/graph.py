@@ -49,12 +49,12 @@ from authguard_r.ros.nodes.heartbeat import steady
 from authguard_r.ros.nodes.mediator import Mediator, Place, mediating
 from authguard_r.site.source import read_site
 from authguard_r.tools.given import given_binding
-from gates import RunningGate, environment, until
+from gates import RunningGate, environment, module, until
 from ros.hospital import HERE
 
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 20.0
-NODE = (sys.executable, "-m", "authguard_r.ros.nodes.node")
+NODE = tuple(module("authguard_r.ros.nodes.node"))
 _domains = itertools.count(1 + os.getpid() % 90)
 
 
@@ -379,7 +379,7 @@ class Graph:
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
-            env=environment(measured=True),
+            env=environment(measured=command is not NODE),
             cwd=worlds.ROOT,
         )
 

@@ -7,7 +7,6 @@ import asyncio
 import json
 import math
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,7 +27,7 @@ from authguard_r.core.identifiers import RegionId
 from authguard_r.sim.sensors import LOOK_MS, SensorServer
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.world import initial_state
-from gates import RunningGate, environment, until
+from gates import RunningGate, environment, module, until
 from ros.graph import PATIENCE_S, Peer
 from ros.hospital import HERE
 
@@ -165,11 +164,11 @@ class Running:
         self._folder = folder
         self._errors = (folder / "estimator.err").open("w")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "authguard_r.ros.nodes.estimator", *words, *more],
+            [*module("authguard_r.ros.nodes.estimator"), *words, *more],
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
-            env=environment(measured=True),
+            env=environment(measured=False),
             cwd=worlds.ROOT,
         )
 

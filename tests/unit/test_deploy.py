@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
@@ -256,11 +255,11 @@ def test_a_unit_on_ros_starts_a_module_that_there_is(name: str) -> None:
 
 @pytest.mark.parametrize("path", [path for path in UNITS if "-ros-" not in path.name])
 def test_every_unit_starts_a_command_that_there_is(path: Path) -> None:
-    from authguard_r.cli.app import app
+    from authguard_r.cli.app import program
 
     words = shlex.split(settings(path)["ExecStart"][0])
     assert words[0] == PROGRAM
-    command: Any = typer.main.get_command(app)
+    command: Any = program()
     rest = words[1:]
     while hasattr(command, "commands"):
         command = command.commands[rest.pop(0)]

@@ -25,9 +25,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-import typer
 
-from authguard_r.cli.app import app
+from authguard_r.cli.app import program
 from authguard_r.core.reasons import RETRYABLE, STEP, Reason
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,7 +149,7 @@ def serve(address: str) -> None:
     """Run each command that comes in through the door, in a fork, with the caller's files."""
     from authguard_r.cli import call as authguard
 
-    import_module("authguard_r.cli.app")
+    import_module("authguard_r.cli.app").program()
     import_module("authguard_r.compile.units").to_integer("1 m/s", "mm/s", where="warm")
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     door = socket.socket(socket.AF_UNIX)
@@ -290,7 +289,7 @@ def options_of(command: Any, name: str) -> dict[str, set[str]]:
 def test_the_page_of_commands_names_every_command_with_its_options() -> None:
     page = (DOCS / "reference" / "cli.md").read_text(encoding="utf-8")
     told, _, _ = page.partition("## Not built yet")
-    found = options_of(typer.main.get_command(app), "authguard")
+    found = options_of(program(), "authguard")
     assert len(found) > 20
     in_one_row = {f"authguard mission {verb}" for verb in ("resume", "revoke", "complete")}
     assert [name for name in sorted(set(found) - in_one_row) if f"`{name}" not in told] == []

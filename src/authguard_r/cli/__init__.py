@@ -8,12 +8,11 @@ needed; 4 unparsable or not authentic; 5 the environment is at fault.
 from __future__ import annotations
 
 import sys
-from functools import cache
-from typing import Any
 
 import typer
 from typer.exceptions import TyperException
 
+from authguard_r.cli.app import program
 from authguard_r.cli.out import emit_clarification, emit_error, exit_code
 from authguard_r.cli.usage import message_of, place_of
 from authguard_r.core.errors import AuthGuardError, ClarificationError, EnvironmentFault
@@ -29,7 +28,8 @@ def call(arguments: list[str]) -> int:
     """Run one command and return its exit code; whatever happens is said, not thrown."""
     as_json = "--json" in arguments
     try:
-        result = _program()(args=arguments, prog_name="authguard", standalone_mode=False)
+        made = program(arguments[0] if arguments else "")
+        result = made(args=arguments, prog_name="authguard", standalone_mode=False)
     except typer.Exit as stop:
         return stop.exit_code
     except typer.Abort:
@@ -57,14 +57,6 @@ def call(arguments: list[str]) -> int:
         name = f"{type(error).__name__}: please report this"
         return emit_error(Reason.INTERNAL_FAULT, name, "", as_json=as_json, code=5)
     return result if isinstance(result, int) else 0
-
-
-@cache
-def _program() -> Any:
-    """Return the tree of all commands; it takes a fifth of a second to make, so it is made once."""
-    from authguard_r.cli.app import app
-
-    return typer.main.get_command(app)
 
 
 __all__ = ["call", "main"]

@@ -1,125 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command in one place, so that `authguard --help` is the table of contents."""
+"""Every command in one place, so that `authguard --help` is the table of contents.
+
+A command line imports and makes what its first word leads to and nothing else: a stop is not to
+wait for the parser of everything that is no stop.
+"""
 
 from __future__ import annotations
 
+from functools import cache
+from importlib import import_module
+from typing import Any, Final
+
 import typer
 
-from authguard_r.cli import (
-    approvals,
-    attend,
-    audit,
-    binding,
-    decide,
-    demo,
-    doctor,
-    draft,
-    emergency,
-    estimator,
-    frost,
-    gate,
-    gate_config,
-    growth,
-    init,
-    instances,
-    key_answers,
-    key_files,
-    key_lists,
-    key_requests,
-    keys,
-    learn,
-    log_explain,
-    log_export,
-    log_keys,
-    log_show,
-    log_verify,
-    mcp,
-    metrics,
-    normalize,
-    orders,
-    prompts,
-    readers,
-    recover,
-    replay,
-    risk_policy,
-    robot,
-    ros,
-    run,
-    safety_config,
-    segments,
-    serve,
-    shred,
-    site,
-    stop_lane,
-    templates,
-    watch,
-    witness,
-)
+#: The commands, each with the module and the function that it is.
+COMMANDS: Final = {
+    "demo": "demo:demo",
+    "init": "init:init_command",
+    "learn": "learn:learn_command",
+    "doctor": "doctor:doctor",
+    "mcp": "mcp:mcp_command",
+    "mcp-tools": "mcp:mcp_tools_command",
+    "serve": "serve:serve_command",
+    "normalize": "normalize:normalize_command",
+    "decide": "decide:decide_command",
+    "run": "run:run_command",
+    "gate": "gate:gate_command",
+    "status": "attend:status_command",
+    "watch": "watch:watch_command",
+    "stop": "attend:stop_command",
+    "resume": "attend:resume_command",
+    "recover": "recover:recover_command",
+    "explain": "attend:explain_command",
+    "metrics": "metrics:metrics_command",
+    "stop-lane": "stop_lane:stop_lane_command",
+    "robot": "robot:robot_command",
+    "estimator": "estimator:estimator_command",
+}
 
-app = typer.Typer(
-    name="authguard",
-    help="Hold a robot that a language model drives to the mission that an operator signed.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-app.command("demo")(demo.demo)
-app.command("init")(init.init_command)
-app.command("learn")(learn.learn_command)
-app.command("doctor")(doctor.doctor)
-app.command("mcp")(mcp.mcp_command)
-app.command("mcp-tools")(mcp.mcp_tools_command)
-app.command("serve")(serve.serve_command)
-keys.app.command("protect")(key_files.protect_command)
-keys.app.command("unprotect")(key_files.unprotect_command)
-keys.app.command("public")(key_files.public_command)
-keys.app.command("request")(key_requests.request_command)
-keys.app.command("rotate")(key_requests.rotate_command)
-keys.app.command("issue")(key_answers.issue_command)
-keys.app.command("install")(key_answers.install_command)
-keys.app.command("revoke")(key_lists.revoke_command)
-keys.app.command("lists")(key_lists.lists_command)
-keys.app.command("show")(key_lists.show_command)
-app.add_typer(keys.app, name="keys")
-app.add_typer(key_lists.app, name="revocations")
-app.add_typer(gate_config.app, name="gate-config")
-app.add_typer(safety_config.app, name="safety-config")
-app.add_typer(emergency.app, name="emergency")
-app.add_typer(site.app, name="site")
-app.add_typer(risk_policy.app, name="risk-policy")
-app.add_typer(approvals.app, name="approvals")
-app.add_typer(binding.app, name="binding")
-orders.app.command("draft")(draft.draft_command)
-orders.app.add_typer(templates.app, name="template")
-orders.app.add_typer(instances.app, name="instance")
-app.add_typer(orders.app, name="mission")
-app.command("normalize")(normalize.normalize_command)
-app.command("decide")(decide.decide_command)
-app.command("run")(run.run_command)
-app.command("gate")(gate.gate_command)
-app.command("status")(attend.status_command)
-app.command("watch")(watch.watch_command)
-app.command("stop")(attend.stop_command)
-app.command("resume")(attend.resume_command)
-app.command("recover")(recover.recover_command)
-app.command("explain")(attend.explain_command)
-app.command("metrics")(metrics.metrics_command)
-app.command("stop-lane")(stop_lane.stop_lane_command)
-app.command("robot")(robot.robot_command)
-app.command("estimator")(estimator.estimator_command)
-audit.app.command("verify")(log_verify.verify_command)
-audit.app.command("export")(log_export.export_command)
-audit.app.command("key")(log_keys.key_command)
-audit.app.command("prompts")(prompts.prompts_command)
-audit.app.command("growth")(growth.growth_command)
-audit.app.command("segments")(segments.segments_command)
-audit.app.command("reader")(readers.reader_command)
-audit.app.command("show")(log_show.show_command)
-audit.app.command("replay")(replay.replay_command)
-audit.app.command("shred")(shred.shred_command)
-audit.app.command("explain")(log_explain.explain_command)
-app.add_typer(audit.app, name="audit")
-app.add_typer(frost.app, name="frost")
-app.add_typer(ros.app, name="ros")
-app.add_typer(witness.app, name="witness")
+#: The groups of commands, each with the module whose `app` it is.
+GROUPS: Final = {
+    "keys": "keys",
+    "revocations": "key_lists",
+    "gate-config": "gate_config",
+    "safety-config": "safety_config",
+    "emergency": "emergency",
+    "site": "site",
+    "risk-policy": "risk_policy",
+    "approvals": "approvals",
+    "binding": "binding",
+    "mission": "orders",
+    "audit": "audit",
+    "frost": "frost",
+    "ros": "ros",
+    "witness": "witness",
+}
+
+#: What other modules have in a group, after the group's own; an `app` is a group in the group.
+ADDED: Final = {
+    "keys": {
+        "protect": "key_files:protect_command",
+        "unprotect": "key_files:unprotect_command",
+        "public": "key_files:public_command",
+        "request": "key_requests:request_command",
+        "rotate": "key_requests:rotate_command",
+        "issue": "key_answers:issue_command",
+        "install": "key_answers:install_command",
+        "revoke": "key_lists:revoke_command",
+        "lists": "key_lists:lists_command",
+        "show": "key_lists:show_command",
+    },
+    "mission": {
+        "draft": "draft:draft_command",
+        "template": "templates:app",
+        "instance": "instances:app",
+    },
+    "audit": {
+        "verify": "log_verify:verify_command",
+        "export": "log_export:export_command",
+        "key": "log_keys:key_command",
+        "prompts": "prompts:prompts_command",
+        "growth": "growth:growth_command",
+        "segments": "segments:segments_command",
+        "reader": "readers:reader_command",
+        "show": "log_show:show_command",
+        "replay": "replay:replay_command",
+        "shred": "shred:shred_command",
+        "explain": "log_explain:explain_command",
+    },
+}
+
+
+@cache
+def program(first: str = "") -> Any:
+    """Return the tree of commands that a command line's first word leads to.
+
+    Any word that names no command and no group gets the whole tree: for help, or to suggest one.
+    """
+    app = typer.Typer(
+        name="authguard",
+        help="Hold a robot that a language model drives to the mission that an operator signed.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    app.callback()(lambda: None)  # a command that is alone keeps its name
+    everything = first not in {*COMMANDS, *GROUPS}
+    for name, place in COMMANDS.items():
+        if everything or name == first:
+            app.command(name)(_named(place))
+    for name, place in GROUPS.items():
+        if everything or name == first:
+            app.add_typer(_group(name, f"{place}:app"), name=name)
+    return typer.main.get_command(app)
+
+
+@cache
+def _group(name: str, place: str) -> typer.Typer:
+    """Return a group with what other modules add to it; they are added once."""
+    group: typer.Typer = _named(place)
+    for word, added in ADDED.get(name, {}).items():
+        found = _named(added)
+        if isinstance(found, typer.Typer):
+            group.add_typer(found, name=word)
+        else:
+            group.command(word)(found)
+    return group
+
+
+def _named(place: str) -> Any:
+    module, name = place.split(":")
+    return getattr(import_module(f"authguard_r.cli.{module}"), name)

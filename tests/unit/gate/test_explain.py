@@ -8,11 +8,10 @@ from typing import Any
 
 import msgspec
 import pytest
-from typer.main import get_command
 
 import worlds
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
-from authguard_r.cli.app import app
+from authguard_r.cli.app import program
 from authguard_r.commands import Verb
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Mission
@@ -116,7 +115,7 @@ def test_the_safety_gates_word_is_told_beside_the_other() -> None:
 def test_every_reason_says_what_to_do_with_commands_that_there_are() -> None:
     assert MENDS.keys() == set(Reason)
     assert sum(len(reasons) for _, reasons in _ANSWERS) == len(MENDS)  # none stands twice
-    tree = get_command(app)
+    tree = program()
     for mend in {*MENDS.values(), *EMERGENCY_MENDS.values()}:
         for words in re.findall(r"authguard ([a-z]+(?: [a-z]+)?)", mend):
             node: Any = tree
