@@ -33,12 +33,6 @@ class Console:
     """The command as users call it, through the product's own error handling."""
 
     def __init__(self, capsys: Any, monkeypatch: Any) -> None:
-        app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        mission = typer.Typer()
-        mission.command("draft")(draft_command)
-        mission.command("other")(lambda: 0)
-        app.add_typer(mission, name="mission")
-        monkeypatch.setattr("authguard_r.cli.app.app", app)
         self._capsys = capsys
         self._patch = monkeypatch
 
