@@ -57,7 +57,10 @@ def test_this_shell_is_looked_at_as_an_enclaves_process(
     }
     for name, value in right.items():
         monkeypatch.setenv(name, value)
-    words = ["ros", "check", str(EXAMPLE), "--enclave", "/authguard/gate", "--json"]
+    plain = ["ros", "check", str(EXAMPLE), "--enclave", "/authguard/gate"]
+    assert call(plain) == 0
+    assert "its security enforced" in capsys.readouterr().out
+    words = [*plain, "--json"]
     capsys.readouterr()
     assert call(words) == 0
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "TRUE")

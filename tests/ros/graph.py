@@ -321,7 +321,7 @@ class Graph:
         self.folder, self._gate = folder, gate
         self.planners: list[Planner] = []
         self._peers: list[Peer] = []
-        self._robots: list[subprocess.Popen[str]] = []
+        self._others: list[subprocess.Popen[str]] = []
         self.process: subprocess.Popen[str] | None = None
         self.mediator: Mediator  # of a node `inside`
         self.robot: Robot = self.add(Robot(domain))
@@ -428,7 +428,21 @@ class Graph:
             env={**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)},
             cwd=worlds.ROOT,
         )
-        self._robots.append(process)
+        self._others.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        return process
+
+    def planner_process(self, order: int) -> subprocess.Popen[str]:
+        """Return a planner that is a process, once its goal runs."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", "ros.graph", str(self.domain), str(order)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)},
+            cwd=worlds.ROOT,
+        )
+        self._others.append(process)
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         return process
@@ -470,11 +484,11 @@ class Graph:
             if self.process.stdout is not None:
                 self.process.stdout.close()
             self._errors.close()
-        for robot in self._robots:
-            robot.kill()
-            robot.wait()
-            if robot.stdout is not None:
-                robot.stdout.close()
+        for other in self._others:
+            other.kill()
+            other.wait()
+            if other.stdout is not None:
+                other.stdout.close()
         for peer in reversed(self._peers):
             peer.close()
 
@@ -499,8 +513,14 @@ def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
 
 
 def main() -> None:
-    """Be a robot until somebody kills it."""
-    Robot(int(sys.argv[1]))
+    """Be a robot, or a planner of one goal, until somebody kills it."""
+    domain, *order = map(int, sys.argv[1:])
+    if order:
+        planner = Planner("planner", domain)
+        client = planner.client(Fibonacci, "/llm/fibonacci")
+        assert Goal(planner, client, Fibonacci.Goal(order=order[0])).accepted
+    else:
+        Robot(domain)
     print("ready", flush=True)
     threading.Event().wait()
 

@@ -28,6 +28,7 @@ from test_msgs.action import Fibonacci
 
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
+from authguard_r.ros.nodes.actions import GONE_S
 from authguard_r.wire.messages import ClientRole
 from gates import RunningGate, order, until
 from ros.graph import Arm, Goal, Graph, Peer, Stick, graph_of
@@ -131,18 +132,53 @@ def test_a_second_goal_is_rejected_while_one_runs_and_taken_after_it(
     assert asked(graph, 5, "three").accepted
 
 
-def test_a_planner_that_dies_in_mid_goal_leaves_a_goal_that_goes_on_to_its_end(
-    graph: Graph, gate: RunningGate
-) -> None:
-    """As ROS has it, and the lease: whoever asked, the release is for the action."""
+def test_a_goal_whose_planner_has_ended_is_called_off(graph: Graph, gate: RunningGate) -> None:
     arm = fibonacci(graph)
     planner = graph.planner()
     goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
     assert goal.accepted
     planner.close()
-    arm.end.set()
-    until(lambda: outcomes(gate) == ["succeeded"], "the outcome")
+    until(lambda: arm.canceled == [True], "its end")
+    until(lambda: outcomes(gate) == ["aborted"], "the outcome")
+    assert '"abandoned"' in graph.said()
     assert asked(graph, 4, "another").accepted
+
+
+def test_a_planner_that_is_killed_in_mid_goal_leaves_nothing_that_runs(
+    graph: Graph, gate: RunningGate
+) -> None:
+    """It cannot say so itself: DDS takes it for gone once it was silent for twenty seconds."""
+    arm = fibonacci(graph)
+    planner = graph.planner_process(3)
+    assert [one.order for one in arm.goals] == [3]
+    planner.kill()
+    until(lambda: arm.canceled == [True], "its end")
+    until(lambda: outcomes(gate) == ["aborted"], "the outcome")
+
+
+def test_a_goal_goes_on_while_its_planner_is_there_however_long_it_says_nothing(
+    graph: Graph, gate: RunningGate
+) -> None:
+    arm = fibonacci(graph)
+    goal = asked(graph, 3)
+    assert goal.accepted
+    ends = time.monotonic() + GONE_S + 1
+    until(lambda: time.monotonic() > ends, "longer than an abandoned one has")
+    assert arm.canceled == []
+    arm.end.set()
+    assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_a_goal_that_comes_past_the_gate_is_stopped(graph: Graph) -> None:
+    """Without DDS security anybody reaches the robot's own server: it is seen, and canceled."""
+    arm = fibonacci(graph)
+    assert asked(graph, 3).accepted
+    stray = graph.planner("stray")
+    running = Goal(stray, stray.client(Fibonacci, "/fibonacci"), Fibonacci.Goal(order=9))
+    assert running.accepted
+    until(lambda: arm.canceled == [True, True], "the end of both: the robot is stopped")
+    assert '"strange"' in graph.said()
+    until(lambda: asked(graph, 4, "again").accepted, "it serves again")
 
 
 def test_a_stop_cancels_the_goal_and_its_planner_is_told(graph: Graph, gate: RunningGate) -> None:

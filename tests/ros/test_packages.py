@@ -133,15 +133,44 @@ def words_of(name: str, ros_map: Path) -> list[object]:
     return [ros_map] if name == "deadman" else [ros_map, "move", "/base/cmd_vel"]
 
 
+#: What ROS 2 takes for no security, or for one that may be without, and says nothing of.
+OPEN = {
+    "a capital letter": ({"ROS_SECURITY_ENABLE": "True"}, "expected exactly `true`, got `True`"),
+    "capitals": ({"ROS_SECURITY_ENABLE": "TRUE"}, "expected exactly `true`, got `TRUE`"),
+    "unset": ({"ROS_SECURITY_ENABLE": None}, "expected exactly `true`, got nothing"),
+    "small letters": (
+        {"ROS_SECURITY_STRATEGY": "enforce"},
+        "expected exactly `Enforce`, got `enforce`",
+    ),
+    "no folder": ({}, "expected the enclave's folder"),
+}
+
+
+@pytest.mark.parametrize("open_as", OPEN)
 @pytest.mark.parametrize("name", ["gate_node", "actuator", "deadman"])
 def test_an_installed_script_refuses_without_security(
-    name: str, built: Path, stopping_map: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    open_as: str,
+    built: Path,
+    stopping_map: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # the first capital letter is no security to ROS 2
-    monkeypatch.setenv("ROS_SECURITY_ENABLE", "True")
+    change, message = OPEN[open_as]
+    secured: dict[str, str | None] = {
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path / "keystore"),
+        "ROS_DOMAIN_ID": str(yaml.safe_load(stopping_map.read_text())["domain"]),
+    }
+    for variable, value in {**secured, **change}.items():
+        if value is None:
+            monkeypatch.delenv(variable, raising=False)
+        else:
+            monkeypatch.setenv(variable, value)
     code, out, err = said(*installed(built, name), *words_of(name, stopping_map))
     assert (code != 0, out) == (True, "")
-    assert "expected exactly `true`, got `True`" in err
+    assert message in err
     assert "Traceback" not in err
 
 

@@ -46,26 +46,29 @@ def test_of_more_than_may_wait_each_is_told_so_at_once_and_the_rest_are_served()
     async def flood() -> None:
         async with spinning() as spinner:
             goes_on = asyncio.Event()
+            told: list[str] = []
 
             async def work() -> str:
                 await goes_on.wait()
                 return "done"
 
-            def ask(count: int) -> list[Any]:
-                return [spinner.later(work, "lost", busy=lambda: "busy") for _ in range(count)]
+            def ask(count: int) -> None:
+                for _ in range(count):
+                    spinner.later(work, told.append, otherwise="lost", busy=lambda: "busy")
 
-            asked = await spinner.do(ask, MOST_WAITING + 3)
-            assert [one.result() for one in asked if one.done()] == ["busy"] * 3
+            async def all_told(count: int) -> None:
+                async with asyncio.timeout(20):
+                    while len(told) < count:
+                        await asyncio.sleep(0.01)
+
+            await spinner.do(ask, MOST_WAITING + 3)
+            assert told == ["busy"] * 3
             goes_on.set()
-            async with asyncio.timeout(20):
-                while not all(one.done() for one in asked):
-                    await asyncio.sleep(0.01)
-            assert [one.result() for one in asked] == ["done"] * MOST_WAITING + ["busy"] * 3
-            (later,) = await spinner.do(ask, 1)  # there is room again
-            async with asyncio.timeout(20):
-                while not later.done():
-                    await asyncio.sleep(0.01)
-            assert later.result() == "done"
+            await all_told(MOST_WAITING + 3)
+            assert told == ["busy"] * 3 + ["done"] * MOST_WAITING
+            await spinner.do(ask, 1)  # there is room again
+            await all_told(MOST_WAITING + 4)
+            assert told[-1] == "done"
 
     asyncio.run(flood())
 

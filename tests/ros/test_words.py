@@ -594,6 +594,7 @@ SEEN = diagnostics.Seen(
     running="",
     missing=(),
     missed=0,
+    is_watched=True,
 )
 
 
@@ -609,6 +610,7 @@ SEEN = diagnostics.Seen(
         ),
         ({"lane": False}, {"gate": DiagnosticStatus.WARN}),
         ({"missing": ("arm",)}, {"robot": DiagnosticStatus.WARN}),
+        ({"is_watched": False}, {"robot": DiagnosticStatus.WARN}),
         ({"braking": True, "missing": ("arm",)}, {"robot": DiagnosticStatus.ERROR}),
         ({"missed": 3}, {"decisions": DiagnosticStatus.WARN}),
     ],

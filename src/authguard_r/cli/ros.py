@@ -86,6 +86,8 @@ def check_command(
     With --binding and --site each mediated name has to be a way of the binding, as the gate's node
     has it: exit 4 with the first that is none.
 
+    With --enclave the variables of this shell are looked at as a process of that enclave would.
+
     With --keystore every enclave that lies there is read: exit 1 when one of them could publish,
     serve or call what moves the robot, or when its documents are not signed, open or too wide.
     """
@@ -111,14 +113,16 @@ def check_command(
         "keystore": None if keystore is None else str(keystore),
         "faults": [to_builtins(fault) for fault in faults],
     }
-    lines = [*_lines(ros, faults, looked=keystore is not None)]
+    lines = [*_lines(ros, faults, looked=keystore is not None, enclave=enclave)]
     if binding is not None:
         lines.append(f"every mediated name is a way of `{binding}`")
     emit(payload, lines, as_json=as_json)
     return 1 if faults else 0
 
 
-def _lines(ros: RosMap, faults: Iterable[Fault], *, looked: bool) -> Iterator[str]:
+def _lines(
+    ros: RosMap, faults: Iterable[Fault], *, looked: bool, enclave: str | None
+) -> Iterator[str]:
     yield f"{ros.robot}, domain {ros.domain}"
     for key, item in ros.mediated.items():
         yield f"  {key}: {item.kind} {item.public} -> {item.private} ({item.by})"
@@ -127,6 +131,8 @@ def _lines(ros: RosMap, faults: Iterable[Fault], *, looked: bool) -> Iterator[st
         yield f"{fault.code}: {fault.message} (at {fault.where})"
     if looked and not found:
         yield f"of every enclave there, {ros.enclaves.gate} alone can move the robot"
+    elif not looked and enclave is not None and not found:
+        yield f"a process with these variables is in {enclave}, its security enforced"
     elif not looked:
         yield "no keystore given: nothing shows who can move the robot"
 

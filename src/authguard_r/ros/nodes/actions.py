@@ -35,6 +35,10 @@ from authguard_r.tools.planner import Asked, LostError
 RESULT_S = 2
 #: A planner that is there takes note of its accepted goal within this, in seconds.
 BIND_S = 2.0
+#: Of an accepted goal, when nobody is left who could ask for its result for so long, in seconds.
+GONE_S = 2.0
+#: Between two looks whether somebody is, in seconds.
+_LOOK_S = 0.25
 #: An action whose gate is lost is stopped by its controller; its end is waited for so long.
 _LOST_S = 10.0
 #: Texts of one goal's feedback that are not noted again.
@@ -75,9 +79,32 @@ def read_call(item: Mediated, message: Any) -> Call | MalformedError:
 class _Server(ActionServer):  # type: ignore[misc]
     """An action server that executes nothing: a goal is over when `finish` says so."""
 
-    def __init__(self, *args: Any, bound: Callable[[Any], None], **more: Any) -> None:
-        self._bound = bound
-        super().__init__(*args, execute_callback=lambda _: None, **more)
+    def __init__(
+        self,
+        *args: Any,
+        asked: Callable[[Any], None],
+        bound: Callable[[Any], None],
+        **more: Any,
+    ) -> None:
+        self._asked, self._bound = asked, bound
+        self._answers: dict[int, GoalResponse] = {}  # by the goal's own id
+        super().__init__(
+            *args,
+            execute_callback=lambda _: None,
+            goal_callback=lambda goal: self._answers.pop(id(goal)),
+            **more,
+        )
+
+    async def _execute_goal_request(self, request_header_and_message: Any) -> None:
+        """Have a goal decided; nothing waits on the thread for the answer."""
+        self._asked(request_header_and_message)
+
+    async def answer(self, taken: Any, response: GoalResponse) -> None:
+        """Go on with a goal that was decided, as `rclpy` does with one whose answer is known."""
+        goal = taken[1].goal
+        self._answers[id(goal)] = response
+        await super()._execute_goal_request(taken)
+        self._answers.pop(id(goal), None)  # of one whose id was there already nobody asked
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:  # noqa: ARG002
         """Take a planner's handle of its goal; nothing waits on the thread for the end."""
@@ -124,12 +151,13 @@ class ActionInlet:
         self._spinner = public.spinner
         self._unbound: dict[int, _Going] = {}  # by the goal's own id: `rclpy` hands out the same
         self._running: dict[bytes, _Going] = {}
+        self._attending: asyncio.Task[None] | None = None
         self._server = _Server(
             public.spinner.node,
             kind,
             item.public,
+            asked=self._asked,
             bound=partial(self._spinner.soon, self._bound),
-            goal_callback=self._asked,
             cancel_callback=self._canceled,
             callback_group=public.group,
             result_timeout=RESULT_S,
@@ -142,10 +170,14 @@ class ActionInlet:
 
     # on the thread of ROS
 
-    async def _asked(self, goal: Any) -> GoalResponse:
-        decide = partial(self._decided, goal, read_call(self._item, goal))
-        answer = await self._spinner.later(decide, GoalResponse.REJECT, busy=self._busy)
-        return answer or GoalResponse.REJECT
+    def _asked(self, taken: Any) -> None:
+        goal = taken[1].goal
+        self._spinner.later(
+            partial(self._decided, goal, read_call(self._item, goal)),
+            partial(self._spinner.run, self._server.answer, taken),
+            otherwise=GoalResponse.REJECT,
+            busy=self._busy,
+        )
 
     def _busy(self) -> GoalResponse:
         self._public.log.say("refused", self._key, reason=str(Reason.BUSY))
@@ -172,6 +204,26 @@ class ActionInlet:
         if going is not None and not going.handle.done():
             self._running[bytes(handle.goal_id.uuid)] = going
             going.handle.set_result(handle)
+            if self._attending is None or self._attending.done():
+                self._attending = self._spinner.begin(self._attend())
+
+    async def _attend(self) -> None:
+        """Call off every goal that runs once no planner of the action has been there for a while.
+
+        The graph says who is there, and whoever may write to it can lie: it ends goals here, and
+        never begins or prolongs one.
+        """
+        loop = asyncio.get_running_loop()
+        seen_s = loop.time()
+        while self._running:
+            if self._spinner.node.count_clients(f"{self._item.public}/_action/get_result"):
+                seen_s = loop.time()
+            elif loop.time() - seen_s >= GONE_S:
+                self._public.log.say("abandoned", self._key, goals=str(len(self._running)))
+                for goal in tuple(self._running):
+                    self._cancel(goal)
+                seen_s = loop.time()
+            await asyncio.sleep(_LOOK_S)
 
     def _left(self, going: _Going) -> None:
         """Call off a goal whose planner has gone before it was told."""

@@ -219,6 +219,11 @@ class RosBody:
         self.brake()
         self._changed()
 
+    def strange(self, name: str, goals: int) -> None:
+        """Stop a robot that does what nobody released: somebody got round the gate."""
+        self._log.say("strange", name, goals=str(goals))
+        self.astray()
+
     async def at_rest(self, within_s: float) -> bool:
         """Stop whatever runs; True once it stands."""
         self.brake()

@@ -59,6 +59,7 @@ class Seen(Struct, frozen=True, kw_only=True):
     running: str
     missing: tuple[str, ...]
     missed: int
+    is_watched: bool
 
 
 class Diagnostics:
@@ -85,6 +86,7 @@ class Diagnostics:
     ) -> None:
         self._robot, self._kind = str(ros.robot), kind
         self._body, self._desk, self._decisions = body, desk, decisions
+        self._node, self._heartbeat = public.spinner.node, ros.heartbeat
         node, group = public.spinner.node, public.group
         last = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._diagnostics = node.create_publisher(
@@ -117,13 +119,14 @@ class Diagnostics:
             running=body.running,
             missing=body.missing,
             missed=self._decisions.missed,
+            is_watched=self._node.count_subscribers(self._heartbeat) > 0,
         )
 
     def _say(self, seen: Seen) -> None:
         now_ns = time.time_ns()
         stamp = {"sec": now_ns // _NS, "nanosec": now_ns % _NS}
         named = {name: getattr(seen, name) for name in seen.__struct_fields__}
-        del named["braking"]
+        del named["braking"], named["is_watched"]
         plain = {**named, "missing": list(seen.missing), "robot": self._robot, "stamp": stamp}
         self._status.publish(message_of(self._kind, plain, where="status"))
         array = DiagnosticArray(status=statuses(seen, self._robot))
@@ -178,6 +181,8 @@ def _of_robot(seen: Seen) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, "is being stopped: nobody says that it stands"
     if seen.missing:
         return DiagnosticStatus.WARN, f"not there: {', '.join(seen.missing)}"
+    if not seen.is_watched:
+        return DiagnosticStatus.WARN, "nobody hears the heartbeat: no dead-man would cancel a goal"
     if seen.running:
         return DiagnosticStatus.OK, f"runs: {seen.running}"
     return DiagnosticStatus.OK, "stands"

@@ -10,6 +10,7 @@ Spec page: docs/spec/ros.md#goals
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from functools import partial
 from typing import Any
 from uuid import uuid4
@@ -31,6 +32,8 @@ UNSEEN_S = 0.3
 _LOST_S = 5.0
 #: Between two looks whether the server is there, in seconds.
 _LOOK_S = 0.1
+#: Goals that were ours, whose server may say a while longer that they run.
+_MOST_OWN = 256
 _ACTIVE = {
     GoalStatus.STATUS_ACCEPTED,
     GoalStatus.STATUS_EXECUTING,
@@ -71,7 +74,7 @@ class ActionOutlet:
     def __init__(self, robot: Robot, kind: Any, name: str) -> None:
         self.kind = kind.Goal
         self._robot = robot
-        self._impl = kind.Impl
+        self._impl, self._name = kind.Impl, name
         node, group, hidden = robot.spinner.node, robot.group, f"{name}/_action"
         self._sender, self._canceler, self._asker = (
             node.create_client(service, f"{hidden}/{what}", callback_group=group)
@@ -97,6 +100,7 @@ class ActionOutlet:
         self._active: dict[bytes, Any] = {}  # the ids of goals that run, as their server says
         self._news = asyncio.Event()
         self._goals: dict[bytes, _Goal] = {}
+        self._own: deque[bytes] = deque(maxlen=_MOST_OWN)  # the last ids that were sent from here
         self._stopping = 0
         self._is_settled = True  # whoever makes it stops it before anything begins
         self._settling: asyncio.Task[None] | None = None
@@ -121,6 +125,7 @@ class ActionOutlet:
         """Send the goal."""
         goal = _Goal(order)
         self._goals[bytes(goal.id.uuid)] = goal
+        self._own.append(bytes(goal.id.uuid))
         self._robot.spinner.begin(self._attend(goal))
 
     def pass_time(self) -> None:
@@ -241,9 +246,12 @@ class ActionOutlet:
             goal.order.release.fed(message.feedback)
 
     def _told(self, message: Any) -> None:
-        """Take in what the server says of its goals."""
+        """Take in what the server says of its goals; one that nobody released is stopped."""
         self._active = {
             bytes(one.goal_info.goal_id.uuid): one.goal_info.goal_id
             for one in message.status_list
             if one.status in _ACTIVE
         }
+        strange = self._active.keys() - self._own
+        if strange and self._is_settled and not self._stopping:
+            self._robot.strange(self._name, len(strange))

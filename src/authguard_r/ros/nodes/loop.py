@@ -15,7 +15,6 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.task import Future
 
 from authguard_r.client.link import Log
 
@@ -27,6 +26,14 @@ CLOSE_S = 2.0
 AGAIN_S = 1.0
 #: What planners asked for and is not answered yet; of more each is answered at once, with no.
 MOST_WAITING = 64
+
+
+def executor_of(context):
+    import os
+    if os.environ.get("AG_EVENTS") == "1":
+        from rclpy.experimental import EventsExecutor
+        return EventsExecutor(context=context)
+    return SingleThreadedExecutor(context=context)
 
 
 class Spinner:
@@ -41,7 +48,7 @@ class Spinner:
         self.node = node
         self._failed = failed
         self.loop = asyncio.get_running_loop()
-        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor = executor_of(node.context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._serve, name="ros", daemon=True)
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -108,34 +115,40 @@ class Spinner:
     def later(
         self,
         work: Callable[[], Coroutine[Any, Any, T]],
-        otherwise: T,
+        done: Callable[[T], object],
         *,
+        otherwise: T,
         busy: Callable[[], T],
-    ) -> Any:
-        """Begin work in the event loop; return a future that a callback on the thread may await.
+    ) -> None:
+        """Begin work in the event loop; the thread does not wait for it.
+
+        No callback on the thread is a coroutine that waits: an executor that is told of events
+        would look after it all the time, and one that looks for them wakes once more.
 
         Args:
             work: what is begun.
-            otherwise: what the future brings when the work fails or is given up.
+            done: is called once with what it brings: in the event loop, or here when that is full.
+            otherwise: what it brings when it fails or is given up.
             busy: returns what it brings when `MOST_WAITING` are not done yet.
         """
-        promise: Any = Future(executor=self._executor)
         if self._begun - self._ended >= MOST_WAITING:
-            promise.set_result(busy())
-            return promise
+            done(busy())
+            return
         self._begun += 1
 
         def ended(task: asyncio.Task[T]) -> None:
             self._ended += 1
             failed = task.cancelled() or task.exception() is not None
-            promise.set_result(otherwise if failed else task.result())
-            self._executor.wake()
+            done(otherwise if failed else task.result())
 
         def begin() -> None:
             self.begin(work()).add_done_callback(ended)
 
         self.soon(begin)
-        return promise
+
+    def run(self, work: Callable[..., object], *args: Any) -> None:
+        """Call a function, or carry out a coroutine that waits for nothing, on the thread."""
+        self._executor.create_task(work, *args)
 
     def _serve(self) -> None:
         why: BaseException = RuntimeError("it was shut down")

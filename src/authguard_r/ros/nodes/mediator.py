@@ -131,6 +131,7 @@ class Mediator:
             group=self._group,
             changed=self._look,
             astray=self.body.astray,
+            strange=self.body.strange,
             is_alive=self.body.is_alive,
         )
         for key, item in self._place.ros.mediated.items():

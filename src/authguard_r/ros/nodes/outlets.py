@@ -36,6 +36,7 @@ class Robot(Struct, frozen=True, kw_only=True):
         group: every callback of the node's.
         changed: called when something ended.
         astray: called when nobody knows any more what the robot does: it has to be stopped.
+        strange: called with an action's name, and how many goals of it run that were never ours.
         is_alive: says whether the gate's ends look after their body; from any thread.
     """
 
@@ -43,6 +44,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     group: ReentrantCallbackGroup
     changed: Callable[[], None]
     astray: Callable[[], None]
+    strange: Callable[[str, int], None]
     is_alive: Callable[[], bool]
 
 

@@ -116,6 +116,9 @@ def run_node(
     """
     log = Log()
     given = [word for word in words if word != DEMO]
+    if "--help" in given or "-h" in given:
+        sys.stdout.write(f"{name} {' '.join(wanted)} [{DEMO}]\n")
+        return 0
     if len(given) != len(wanted):
         log.say("refused", name, message=f"expected {' '.join(wanted)} [{DEMO}]")
         return WRONG

@@ -39,22 +39,23 @@ class ServiceInlet:
     def __init__(self, public: Public, key: str, item: Mediated, kind: Any) -> None:
         self._public, self._key, self._item, self._kind = public, key, item, kind
         service = public.spinner.node.create_service(
-            kind, item.public, self._asked, callback_group=public.group
+            kind, item.public, lambda asked, _: read_call(item, asked), callback_group=public.group
         )
-        answer = service.send_response
+        self._send = service.send_response
+        service.send_response = self._read  # what `rclpy` calls with what `read_call` returned
 
-        def send(response: Any, header: Any) -> None:
-            if response is not _SILENCE:
-                answer(response, header)
+    def _read(self, read: Call | MalformedError, header: Any) -> None:
+        """Have it decided, on the thread of ROS; the answer is sent when there is one."""
+        self._public.spinner.later(
+            partial(self._answered, read),
+            partial(self._answer, header),
+            otherwise=_SILENCE,
+            busy=partial(self._refusal, Reason.BUSY),
+        )
 
-        service.send_response = send
-
-    async def _asked(self, request: Any, _: Any) -> Any:
-        silence: Any = _SILENCE
-        answer = partial(self._answered, read_call(self._item, request))
-        busy = partial(self._refusal, Reason.BUSY)
-        found = await self._public.spinner.later(answer, silence, busy=busy)
-        return _SILENCE if found is None else found
+    def _answer(self, header: Any, response: Any) -> None:
+        if response is not _SILENCE:
+            self._send(response, header)
 
     async def _answered(self, read: Call | MalformedError) -> Any:
         found: list[Release] = []
@@ -94,7 +95,7 @@ class MessageInlet:
     def _came(self, message: Any) -> None:
         """Take a message on the thread of ROS; nobody waits for an answer."""
         propose = partial(self._propose, read_call(self._item, message))
-        self._public.spinner.later(propose, None, busy=self._busy)
+        self._public.spinner.later(propose, lambda _: None, otherwise=None, busy=self._busy)
 
     def _busy(self) -> None:
         self._public.log.say("refused", self._key, reason=str(Reason.BUSY))
