@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 import yaml
 from pytest_httpserver import HTTPServer
 
 import worlds
 from authguard_r import cli
 from authguard_r.cli.ask import confirm_shown, prompt
-from authguard_r.cli.draft import draft_command
 from authguard_r.compile.answers import compile_plain
 from authguard_r.core.errors import ClarificationError
 from authguard_r.core.identifiers import Timestamp

@@ -297,17 +297,6 @@ def test_the_page_of_commands_names_every_command_with_its_options() -> None:
     assert "`missionpair validate`" in told
 
 
-def test_the_page_of_the_library_names_what_is_exported() -> None:
-    import authguard_r
-
-    page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
-    told = re.findall(r"^\| `(\w+)` \|", page.partition("\n## ")[0], re.MULTILINE)
-    assert sorted(told) == sorted(authguard_r.__all__)
-    assert [n for n in told if getattr(authguard_r, n).__name__ != n] == []
-    with pytest.raises(AttributeError, match="no attribute 'decide_all'"):
-        _ = authguard_r.decide_all
-
-
 def test_every_dependency_has_its_line() -> None:
     import tomllib
 

@@ -28,14 +28,6 @@ AGAIN_S = 1.0
 MOST_WAITING = 64
 
 
-def executor_of(context):
-    import os
-    if os.environ.get("AG_EVENTS") == "1":
-        from rclpy.experimental import EventsExecutor
-        return EventsExecutor(context=context)
-    return SingleThreadedExecutor(context=context)
-
-
 class Spinner:
     """The thread.
 
@@ -48,7 +40,7 @@ class Spinner:
         self.node = node
         self._failed = failed
         self.loop = asyncio.get_running_loop()
-        self._executor = executor_of(node.context)
+        self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._serve, name="ros", daemon=True)
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -122,8 +114,8 @@ class Spinner:
     ) -> None:
         """Begin work in the event loop; the thread does not wait for it.
 
-        No callback on the thread is a coroutine that waits: an executor that is told of events
-        would look after it all the time, and one that looks for them wakes once more.
+        No callback on the thread is a coroutine that waits: it would be looked at again each time
+        that anything comes.
 
         Args:
             work: what is begun.
