@@ -160,6 +160,8 @@ def test_a_server_that_fails_gives_no_table_of_the_paper(tmp_path: Path) -> None
 # ended by hand, in the middle of a pair
 
 
+#: What a shell starts behind it ignores SIGINT, and whoever that starts.
+HEARING = ("env", "--default-signal=INT")
 #: So many that none is over before its end is asked for, however late this process gets its turn.
 TRIALS = 100_000
 MANY = [*RUN[:4], "--every", "30", "--kind", "attack", "--defense", "both", "--seeds", f"{TRIALS}"]
@@ -168,7 +170,7 @@ MANY = [*RUN[:4], "--every", "30", "--kind", "attack", "--defense", "both", "--s
 def ended(log: Path, tmp: Path, jobs: str, sent: signal.Signals) -> int:
     """Start a campaign, end it when something of it is written, and return how it ended."""
     process = subprocess.Popen(
-        [*COMMAND, *MANY, "--out", str(log), "--jobs", jobs],
+        [*HEARING, *COMMAND, *MANY, "--out", str(log), "--jobs", jobs],
         stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         env={**os.environ, "TMPDIR": str(tmp)},
@@ -176,7 +178,10 @@ def ended(log: Path, tmp: Path, jobs: str, sent: signal.Signals) -> int:
     while process.poll() is None and (not log.exists() or log.stat().st_size < 20_000):
         time.sleep(0.01)
     process.send_signal(sent)
-    return process.wait(timeout=20)
+    try:
+        return process.wait(timeout=20)
+    finally:
+        process.kill()  # one that has ended hears nothing
 
 
 def is_one_at_it(tmp: Path) -> bool:

@@ -22,6 +22,8 @@ from logs import edited, log_of
 #: Records of a log that is long enough for others to help.
 SIZE = ALONE + 6_000
 _PATIENCE_S = 60
+#: What a shell starts behind it ignores SIGINT, and whoever that starts.
+HEARING = ("env", "--default-signal=INT")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,8 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def started(log: Path, jobs: int) -> subprocess.Popen[str]:
     words = ["audit", "verify", str(log), "--jobs", str(jobs), "--json"]
     main = "import sys; from authguard_r.cli import main; main(sys.argv[1:])"
-    return subprocess.Popen([sys.executable, "-c", main, *words], stdout=subprocess.PIPE, text=True)
+    command = [*HEARING, sys.executable, "-c", main, *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
 def told(process: subprocess.Popen[str]) -> tuple[int, object]:

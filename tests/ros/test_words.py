@@ -29,7 +29,7 @@ from msgspec.structs import replace
 from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64, String, UInt8MultiArray
+from std_msgs.msg import Float64, String, UInt8MultiArray, UInt64
 
 from authguard_r.client import GateClient
 from authguard_r.client.keeping import GatePlace
@@ -42,6 +42,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.parse import MAX_TEXT
 from authguard_r.ros.nodes import decisions, diagnostics, shown, telling, words
 from authguard_r.ros.nodes.actions import Public
+from authguard_r.ros.nodes.heartbeat import actuation_qos
 from authguard_r.ros.nodes.loop import Spinner
 from authguard_r.ros.nodes.proposals import MOST
 from authguard_r.ros.nodes.values import plain_of
@@ -667,6 +668,8 @@ def test_diagnostics_say_how_everything_stands(tmp_path: Path, mortal: RunningGa
             until(lambda: told.messages and holds(told.messages[-1]), what)
             return told.messages[-1]
 
+        says(lambda a: levels(a) == {"gate": OK, "robot": WARN, "decisions": OK}, "nobody watches")
+        Heard(monitor, UInt64, "/authguard/heartbeat", actuation_qos())  # as a dead-man does
         says(lambda a: set(levels(a).values()) == {OK}, "everything in order")
         goal = asked(graph, 3)
         assert goal.accepted
