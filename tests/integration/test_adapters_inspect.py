@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -264,5 +265,6 @@ def test_the_example_runs_as_it_is_written(robot: Courier) -> None:
             timeout=120,
         )
     assert done.returncode == 0, done.stdout[-1000:] + done.stderr[-3000:]
-    called = [line for line in done.stderr.splitlines() if line.startswith("called")]
-    assert called == ["called: scan", "called: navigate_to Pharmacy at 0.5 m/s"]
+    called = re.findall("called: .*", done.stderr)
+    said = [(one.kind, one.decision, one.reasons) for one in gate.news()]
+    assert called == ["called: scan", "called: navigate_to Pharmacy at 0.5 m/s"], said
