@@ -421,26 +421,18 @@ class Graph:
     def robot_process(self) -> subprocess.Popen[str]:
         """Return a robot that is a process, in the place of the one that is none."""
         self.robot.close()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "ros.graph", str(self.domain)],
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)},
-            cwd=worlds.ROOT,
-        )
-        self._others.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        return process
+        return self._other()
 
     def planner_process(self, order: int) -> subprocess.Popen[str]:
         """Return a planner that is a process, once its goal runs."""
+        return self._other(order)
+
+    def _other(self, *order: int) -> subprocess.Popen[str]:
+        """Start this module as a process, and wait until it is ready."""
+        words = [sys.executable, "-m", "ros.graph", *map(str, (self.domain, *order))]
+        env = {**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)}
         process = subprocess.Popen(
-            [sys.executable, "-m", "ros.graph", str(self.domain), str(order)],
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)},
-            cwd=worlds.ROOT,
+            words, stdout=subprocess.PIPE, text=True, env=env, cwd=worlds.ROOT
         )
         self._others.append(process)
         assert process.stdout is not None

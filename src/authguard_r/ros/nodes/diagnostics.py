@@ -44,6 +44,7 @@ class Seen(Struct, frozen=True, kw_only=True):
         running: what runs.
         missing: what of the robot is not there.
         missed: decisions that were never published.
+        is_watched: somebody hears the heartbeat, as the graph says; not in `GateStatus`.
     """
 
     connected: bool
