@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.gate.journal import COUNTS_MS, Journal
+from authguard_r.gate.journal import COUNTS_MS, MOST_LINES, Journal
 from authguard_r.wire.messages import ClientRole, Kind
 from lanes import until
 from unit.gate.house import FORBIDDEN, SCAN, House
@@ -98,6 +98,18 @@ def test_a_journal_that_nobody_reads_drops_lines_and_says_how_many(pipe: tuple[i
     os.read(read, 1 << 20)
     assert until(told, "a line")["dropped"] > 1_900
     assert until(told, "a line").get("dropped", 0) < 100
+
+
+def test_who_connects_over_and_over_hides_no_alert(pipe: tuple[int, int]) -> None:
+    read, write = pipe
+    journal = Journal(write)
+    for _ in range(4 * MOST_LINES):
+        journal.event({"event": "client", "here": True})
+    journal.event({"event": "recovery", "unclean": True})
+    lines = [msgspec.json.decode(line) for line in os.read(read, 1 << 20).splitlines()]
+    assert len(lines) < 4 * MOST_LINES  # there is a bound
+    assert lines[-1]["event"] == "recovery"
+    assert lines[-1]["dropped"] > 0
 
 
 def test_counts_are_told_when_they_changed_and_not_too_often(pipe: tuple[int, int]) -> None:
