@@ -125,6 +125,8 @@ class Arm:
         self.canceled: list[bool] = []
         self.canceled_s = 0.0
         self.takes = True
+        self.yields = True  # to a cancellation
+        self.asked_to_cancel = 0
         self.answers = threading.Event()  # whether it takes a goal
         self.answers.set()
         self.end = threading.Event()
@@ -140,10 +142,14 @@ class Arm:
             name,
             self._run,
             goal_callback=self._asked,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            cancel_callback=self._cancel,
             callback_group=peer.group,
             result_timeout=2,
         )
+
+    def _cancel(self, _: Any) -> CancelResponse:
+        self.asked_to_cancel += 1
+        return CancelResponse.ACCEPT if self.yields else CancelResponse.REJECT
 
     def _asked(self, goal: Any) -> GoalResponse:
         self.goals.append(goal)

@@ -19,11 +19,11 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an env
 from geometry_msgs.msg import Twist
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
-from test_msgs.action import Fibonacci
+from std_srvs.srv import Empty, Trigger
+from test_msgs.action import Fibonacci, NestedMessage
 
 from gates import RunningGate, until
-from ros.graph import Client, Graph, Planner, Stick
+from ros.graph import Arm, Client, Goal, Graph, Peer, Planner, Stick
 from ros.test_mediation import twist
 from ros.test_words import HORN, Writer, plan, speaking
 
@@ -146,6 +146,36 @@ def test_a_publisher_of_another_type_under_the_same_name_is_heard_by_nobody(grap
         wheels.publish(String(data="drive on"))
     served(graph, graph.planner("another"))
     assert wheels.get_subscription_count() == 0
+
+
+def test_a_planner_of_another_type_of_an_action_or_a_service_is_heard_by_nobody(
+    graph: Graph,
+) -> None:
+    """It was built with other interfaces: what it sends is read as nothing else."""
+    graph.start()
+    liar = graph.planner("liar")
+    goals = Client(liar.node, NestedMessage, "/llm/fibonacci", callback_group=liar.group)
+    calls = liar.node.create_client(Empty, "/llm/horn", callback_group=liar.group)
+    asked = [
+        liar.ask(lambda: goals.send_goal_async(NestedMessage.Goal())),
+        liar.ask(lambda: calls.call_async(Empty.Request())),
+    ]
+    served(graph, graph.planner("another"))
+    assert not any(one.done() for one in asked)
+    assert graph.robot.arm.goals == []
+    assert graph.robot.calls == ["horn"]
+
+
+def test_a_robots_server_of_another_type_is_no_server(graph: Graph) -> None:
+    graph.robot.close()
+    other = graph.add(Peer("other", graph.domain))
+    arm = Arm(other, NestedMessage, "/fibonacci")
+    graph.start()
+    assert "arm" in graph.missing
+    planner = graph.planner()
+    client = planner.client(Fibonacci, "/llm/fibonacci")
+    assert not Goal(planner, client, Fibonacci.Goal(order=3)).accepted
+    assert arm.goals == []
 
 
 def test_who_has_the_names_of_the_gates_nodes_is_a_planner_all_the_same(

@@ -260,6 +260,41 @@ def test_another_robots_gate_is_no_configuration(graph: Graph) -> None:
     assert "ROBOT_MISMATCH" in graph.said()
 
 
+def test_another_site_than_the_gates_is_no_configuration(graph: Graph, gate: RunningGate) -> None:
+    """A zone with another bound, say: what the node rebuilds is held to the gate's."""
+    plain = yaml.safe_load(gate.site.read_text())
+    plain["objects"]["cup"] = {"kind": "part", "home": "dock", "mass_g": 2, "names": ["cup"]}
+    other = graph.folder / "site.yaml"
+    other.write_text(yaml.safe_dump(plain))
+    graph.launch(site=other)
+    assert graph.ended() == 1
+    assert "SITE_MISMATCH" in graph.said()
+
+
+@pytest.mark.parametrize(
+    ("kind", "type_"),
+    [
+        ("service", "std_srvs/srv/Trigger"),
+        ("action", "test_msgs/action/Fibonacci"),
+        ("stream", "geometry_msgs/msg/Twist"),
+    ],
+)
+def test_l16_an_actuation_name_that_no_way_of_the_binding_means_is_no_configuration(
+    graph: Graph, kind: str, type_: str
+) -> None:
+    """What is mediated and cannot be decided would be a way that nobody signed for."""
+    plain = yaml.safe_load((HERE / "map.yaml").read_text())
+    plain["mediated"]["siren"] = {
+        **{"kind": kind, "type": type_, "by": "/robot"},
+        **{"public": "/llm/siren", "private": "/siren"},
+    }
+    other = graph.folder / "other.yaml"
+    other.write_text(yaml.safe_dump(plain))
+    graph.launch(source=other)
+    assert graph.ended() == 1
+    assert "siren" in graph.said()
+
+
 def test_a_gate_that_does_not_come_is_no_configuration(graph: Graph, tmp_path: Path) -> None:
     (tmp_path / "nobody").mkdir()
     graph.start(managed=True, run=tmp_path / "nobody" / "there")

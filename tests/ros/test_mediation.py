@@ -95,6 +95,22 @@ def test_a_cancellation_is_forwarded_and_the_goal_ends_canceled(
     until(lambda: outcomes(gate) == ["aborted"], "the outcome")
 
 
+def test_a_goal_that_the_robot_does_not_cancel_is_told_of_as_it_ends(
+    graph: Graph, gate: RunningGate
+) -> None:
+    """The planner is not refused a cancellation; whether the goal yields is the robot's word."""
+    arm = fibonacci(graph)
+    arm.yields = False
+    goal = asked(graph, 3)
+    assert goal.accepted
+    assert goal.cancel().goals_canceling
+    until(lambda: arm.asked_to_cancel, "its being asked")
+    assert outcomes(gate) == []
+    arm.end.set()
+    assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
+    assert arm.canceled == []
+
+
 def test_a_goal_that_the_robot_aborts_is_aborted_with_its_result(
     graph: Graph, gate: RunningGate
 ) -> None:
@@ -478,6 +494,28 @@ def test_a_server_that_the_graph_hides_is_told_to_cancel_all_the_same(
             assert lane.stop()["stopped"] is True
         assert arm.canceled == [True]
         assert "arm" in graph.mediator.body.missing  # nothing begins there
+
+
+def test_a_robot_that_refuses_to_cancel_does_not_stand_and_is_asked_until_it_yields(
+    tmp_path: Path, mortal: RunningGate
+) -> None:
+    with graph_of(tmp_path, mortal) as graph:
+        arm = fibonacci(graph)
+        arm.yields = False
+        goal = asked(graph, 3)
+        assert goal.accepted
+        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
+            assert lane.stop()["stopped"] is False
+            until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
+            assert goal.result().status == GoalStatus.STATUS_ABORTED
+            assert not asked(graph, 4, "another").accepted
+            asked_before = arm.asked_to_cancel
+            until(lambda: arm.asked_to_cancel > asked_before, "its being asked again")
+            assert arm.canceled == []
+            arm.yields = True
+            until(lambda: lane.stop()["stopped"], "its word")
+        assert arm.canceled == [True]
+        assert [one.order for one in arm.goals] == [3]
 
 
 def test_a_robot_that_does_not_say_whether_it_takes_a_goal_is_stopped(
