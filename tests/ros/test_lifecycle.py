@@ -284,10 +284,8 @@ def test_l16_an_actuation_name_that_no_way_of_the_binding_means_is_no_configurat
 ) -> None:
     """What is mediated and cannot be decided would be a way that nobody signed for."""
     plain = yaml.safe_load((HERE / "map.yaml").read_text())
-    plain["mediated"]["siren"] = {
-        **{"kind": kind, "type": type_, "by": "/robot"},
-        **{"public": "/llm/siren", "private": "/siren"},
-    }
+    where = {"public": "/llm/siren", "private": "/siren", "by": "/robot"}
+    plain["mediated"]["siren"] = {"kind": kind, "type": type_, **where}
     other = graph.folder / "other.yaml"
     other.write_text(yaml.safe_dump(plain))
     graph.launch(source=other)
