@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`python benchmarks/ros_faults.py --ros ENVIRONMENT`: how soon a robot stands without its gate.
 
-From a fault in the gate's node to the zero velocity in a base's driver, and to the canceled goal in
+The node is a stand-in here, so that single faults can be put into it; `ros_dead_node.py` has the
+gate's own. From a fault to the zero velocity in a base's driver, and to the canceled goal in
 an action's server: real processes over real DDS, each trial with new ones. `ENVIRONMENT` is a
 folder with rclpy. Run it where no other robot is (`unshare -rn sh -c 'ip link set lo up; ...'`).
 """
@@ -15,6 +16,8 @@ import random
 import statistics
 import sys
 import time
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +49,20 @@ def trial(python: str, fault: str, base: tuple[str, ...]) -> tuple[float, float]
         return driving.stopped_ms(begun), driving.canceled_ms(begun)
 
 
-def faults(python: str, trials: int) -> dict[str, Any]:
-    """Return medians and extremes of every fault; faults take turns."""
-    times: dict[str, list[tuple[float, float]]] = {name: [] for name in FAULTS}
+def in_turns(
+    faults: Mapping[str, Callable[[], tuple[float, float]]], trials: int
+) -> dict[str, Any]:
+    """Return medians and extremes of every fault; faults take turns.
+
+    Args:
+        faults: by its name, what does a trial of one and returns how many milliseconds after it
+            the base stood and the goal was canceled.
+        trials: of each.
+    """
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in faults}
     for number in range(trials):
-        for name, (fault, base) in FAULTS.items():
-            times[name].append(trial(python, fault, base))
+        for name, once in faults.items():
+            times[name].append(once())
             stands, canceled = times[name][-1]
             said = f"{number + 1}/{trials} {name}: stands {stands:.0f} ms, canceled {canceled:.0f}"
             print(said, file=sys.stderr, flush=True)
@@ -62,6 +73,15 @@ def faults(python: str, trials: int) -> dict[str, Any]:
         }
         for name, samples in times.items()
     }
+
+
+def show(found: Mapping[str, Any]) -> None:
+    """Print a table of what `in_turns` returned."""
+    print("| fault | stands, ms: median (most) | canceled, ms: median (most) |\n|---|---|---|")
+    for name, told in found.items():
+        stands, canceled = told["stands_ms"], told["canceled_ms"]
+        print(f"| {name} | {stands['median']:.0f} ({stands['most']:.0f}) ", end="")
+        print(f"| {canceled['median']:.0f} ({canceled['most']:.0f}) |")
 
 
 def _told(samples: list[float]) -> dict[str, Any]:
@@ -80,12 +100,10 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=11)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    found = faults(str(options.ros / "bin" / "python"), options.trials)
-    print("| fault | stands, ms: median (most) | canceled, ms: median (most) |\n|---|---|---|")
-    for name, told in found.items():
-        stands, canceled = told["stands_ms"], told["canceled_ms"]
-        print(f"| {name} | {stands['median']:.0f} ({stands['most']:.0f}) ", end="")
-        print(f"| {canceled['median']:.0f} ({canceled['most']:.0f}) |")
+    python = str(options.ros / "bin" / "python")
+    once = {name: partial(trial, python, *fault) for name, fault in FAULTS.items()}
+    found = in_turns(once, options.trials)
+    show(found)
     result = {
         "schema": "authguard-r/ros-faults/1",
         **machine.describe(Path(__file__).parent),

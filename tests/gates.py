@@ -95,13 +95,19 @@ def order(gate: RunningGate, mission: Mission, digest: str, verb: Verb, **more: 
     return sign_object(command, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
 
 
-def until(holds: Callable[[], Any], what: str = "it", *, seconds: float = PATIENCE_S) -> Any:
+def until(
+    holds: Callable[[], Any],
+    what: str = "it",
+    *,
+    seconds: float = PATIENCE_S,
+    every_s: float = 0.01,
+) -> Any:
     """Return the first true answer; fail when none comes."""
     end = time.monotonic() + seconds
     while not (answer := holds()):
         if time.monotonic() > end:
             raise AssertionError(f"{what} did not happen within {seconds:.0f} s")
-        time.sleep(0.01)
+        time.sleep(every_s)
     return answer
 
 

@@ -14,6 +14,8 @@ from authguard_r.ros.nodes import loop, node
 
 #: What gets stuck of which signal.
 EXECUTORS, LOOP = signal.SIGUSR1, signal.SIGUSR2
+#: Of the three executors the one alone that reaches the robot.
+ROBOTS = signal.Signals.SIGWINCH
 _spinners: list[loop.Spinner] = []
 _never = threading.Event()
 
@@ -29,12 +31,19 @@ def main() -> None:
     loop.Spinner.start = started  # type: ignore[method-assign]
     signal.signal(EXECUTORS, _stick_executors)
     signal.signal(LOOP, _stick_loop)
+    signal.signal(ROBOTS, _stick_robots)
     node.main()
 
 
 def _stick_executors(*_: Any) -> None:
     for spinner in _spinners:
         spinner._executor.create_task(_never.wait)
+
+
+def _stick_robots(*_: Any) -> None:
+    for spinner in _spinners:
+        if spinner.node.get_name() == "gate_robot":
+            spinner._executor.create_task(_never.wait)
 
 
 def _stick_loop(*_: Any) -> None:

@@ -3,16 +3,13 @@
 
 The node, the dead-man and the actuator's relay as they are deployed, a gate, and a robot; the
 processes of `test_stopping.py` put single faults into a stand-in. How fast it is,
-`benchmarks/ros_faults.py` measures. Spec page: docs/spec/ros-stopping.md; lessons L1, L19
+`benchmarks/ros_dead_node.py` measures. Spec page: docs/spec/ros-stopping.md; lessons L1, L19
 """
 
 from __future__ import annotations
 
 import signal
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,73 +20,18 @@ from geometry_msgs.msg import Twist
 from test_msgs.action import Fibonacci
 
 from gates import RunningGate, until
-from ros.graph import Base, Goal, Graph, Stick, graph_of
-from ros.hospital import HERE
-from ros.stuck import EXECUTORS, LOOP
+from ros.deployed import FAULTS, TRANSPORT, guarded
+from ros.graph import Goal, Stick
 from ros.test_mediation import twist
-from ros_stopping import Actor
 
 #: From a fault to a base that stands and a goal that is canceled, in seconds.
 SOON_S = 1.0
-STUCK = (sys.executable, str(Path(__file__).with_name("stuck.py")))
-FAULTS = {
-    "killed": signal.SIGKILL,
-    "stopped by the kernel": signal.SIGSTOP,
-    "dead-locked executors": EXECUTORS,
-    "a stuck loop of asyncio": LOOP,
-}
-ARMED = '"event": "armed"'
 
 
 @pytest.fixture(autouse=True)
 def _as_deployed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Share no memory, as deploy/ros/ros.env says: who writes to a stopped process waits for it."""
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-
-
-class Guarded:
-    """A robot whose wheels hear the relay, and whose goals the dead-man may cancel."""
-
-    def __init__(self, graph: Graph, ending: ExitStack) -> None:
-        self.graph = graph
-        self.wheels = Base(graph.robot, Twist, "/base/cmd_vel")
-        text = (HERE / "map.yaml").read_text()
-        text = text.replace("[/robot]}", "[/robot], publishes: [/base/cmd_vel]}")
-        source = graph.folder / "source.yaml"  # the graph gives it its domain
-        source.write_text(text)
-        self.map = graph.folder / "guarded.yaml"
-        self.map.write_text(text.replace("domain: 1\n", f"domain: {graph.domain}\n"))
-        self.relay = self._start(ending, "actuator", "wheels", "/base/cmd_vel")
-        self.deadman = self._start(ending, "deadman")
-        graph.start(source, STUCK)
-        self.deadman.says(ARMED)
-        until(lambda: self.wheels.told, "the relay")
-
-    def _start(self, ending: ExitStack, module: str, *words: str) -> Actor:
-        name = f"authguard_r.ros.nodes.{module}"
-        actor = Actor(["-m", name, str(self.map), *words, "--demo"], sys.executable)
-        ending.callback(actor.end)
-        actor.event("ready")
-        return actor
-
-    def stood_s(self, after: float) -> float:
-        """Return when the wheels were told zero, and never anything else since."""
-
-        def found() -> float | None:
-            told = zip(self.wheels.at_s, self.wheels.speeds, strict=False)
-            since = [(at, speed) for at, speed in tuple(told) if at > after]
-            zeros = [at for at, speed in since if speed == 0.0]
-            return zeros[0] if zeros else None
-
-        stood = until(found, "wheels that stand")
-        assert isinstance(stood, float)
-        return stood
-
-
-@contextmanager
-def guarded(folder: Path, gate: RunningGate) -> Iterator[Guarded]:
-    with graph_of(folder, gate) as graph, ExitStack() as ending:
-        yield Guarded(graph, ending)
+    for name, value in TRANSPORT.items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())

@@ -27,7 +27,9 @@ from test_msgs.action import Fibonacci
 import worlds
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.keys.trust import read_trust
-from authguard_r.ros.nodes.process import require_bench
+from authguard_r.ros.map import parse_map
+from authguard_r.ros.nodes import process
+from authguard_r.ros.nodes.process import require_bench, ros_context
 from authguard_r.wire.messages import ClientRole
 from gates import RunningGate, until
 from ros.graph import PATIENCE_S, Goal, Graph, Planner, graph_of
@@ -309,6 +311,45 @@ def test_parameters_tell_and_nobody_sets_one(graph: Graph) -> None:
         said = manager.set(name, value)
         assert not said.successful
         assert said.reason
+
+
+def test_a_node_whose_own_thread_ends_is_over_with_everything_that_it_serves(
+    graph: Graph,
+) -> None:
+    """`rclpy` ends it on a type of parameter that there is not."""
+    graph.start()
+    sent = goal(graph)
+    assert sent.accepted
+    request = SetParameters.Request(
+        parameters=[Parameter(name="robot", value=ParameterValue(type=200))]
+    )
+    graph.planner("odd").call(SetParameters, f"{NODE}/set_parameters", request)
+    assert graph.ended() == 1
+    assert "does not spin" in graph.said()
+    assert "Traceback" not in graph.said()
+    assert graph.robot.arm.canceled == [True]
+
+
+def test_a_node_that_is_still_being_configured_ends_when_it_is_told_to(
+    graph: Graph, tmp_path: Path
+) -> None:
+    (tmp_path / "nobody").mkdir()
+    graph.launch(run=tmp_path / "nobody")
+    names = graph.planner("looks").node.get_node_names
+    until(lambda: "gate_robot" in names(), "the robot's side")
+    assert graph.terminate() == 0
+    assert "Traceback" not in graph.said()
+
+
+def test_a_middleware_that_keeps_to_no_keystore_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where no variable names one, ROS takes what is installed."""
+    ros = parse_map((HERE / "map.yaml").read_text(), where="map")
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setattr(process, "get_rmw_implementation_identifier", lambda: "rmw_zenoh_cpp")
+    with pytest.raises(EnvironmentFault, match="rmw_zenoh_cpp"), ros_context(ros, "/x"):
+        pass
 
 
 def test_a_clock_that_somebody_publishes_is_nobodys(graph: Graph) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import struct
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +22,14 @@ import ros.graph  # noqa: F401 - its imports first: they warn
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.ros.names import Part
-from authguard_r.ros.nodes.values import MAX_VALUES, load_type, message_of, plain_of, texts_of
+from authguard_r.ros.nodes.values import (
+    MAX_VALUES,
+    load_type,
+    message_of,
+    plain_of,
+    require_narrow,
+    texts_of,
+)
 
 EVERY = (
     "Arrays",
@@ -131,6 +139,27 @@ def test_every_word_is_found_in_bytes_too() -> None:
     wide = msg.WStrings(wstring_value="ハロー")
     assert "ハロー" in texts_of(wide)
     assert texts_of(Fibonacci.Goal(order=1)) == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "part"),
+    [
+        (msg.WStrings, Part.MESSAGE),
+        (SimpleNamespace(Goal=msg.WStrings, Result=msg.Empty), Part.ACTION),
+        (SimpleNamespace(Request=msg.WStrings, Response=msg.Empty), Part.SERVICE),
+    ],
+)
+def test_l3_a_wide_string_is_nothing_that_a_planner_sends(kind: Any, part: Part) -> None:
+    """Units that are no character end the thread that takes them, before anybody could refuse."""
+    with pytest.raises(MalformedError, match="wstring"):
+        require_narrow(kind, part, where="mediated.it.type")
+    answers = SimpleNamespace(Request=msg.Empty, Response=msg.WStrings)  # the robot's own word
+    for narrow, of in (
+        (msg.MultiNested, Part.MESSAGE),
+        (Fibonacci, Part.ACTION),
+        (answers, Part.SERVICE),
+    ):
+        require_narrow(narrow, of, where="mediated.it.type")
 
 
 @pytest.mark.parametrize("name", ["no_msgs/msg/Thing", "std_msgs/msg/Nothing"])

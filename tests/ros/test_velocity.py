@@ -15,6 +15,7 @@ from geometry_msgs.msg import Twist
 
 from authguard_r.ros.nodes.velocity import StreamOutlet
 from authguard_r.site.model import Profile
+from gates import until
 from ros.graph import Peer, next_domain
 
 
@@ -46,6 +47,7 @@ def test_a_velocity_that_is_being_repeated_goes_out_before_the_zero_that_ends_it
     outlet = StreamOutlet(robot, Twist, "/cmd_vel", profile)
     moving = Twist()
     moving.linear.x = 0.2
+    until(lambda: outlet._turned_ms, "the thread of ROS")
     outlet.steer(moving, 200)
     slow = Slow()
     outlet._publisher = slow  # type: ignore[assignment]

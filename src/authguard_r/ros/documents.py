@@ -2,19 +2,22 @@
 """Governance and permissions of DDS Security: written from rights, read for what they allow.
 
 Reading is strict about what it understands and takes the rest for the worst: a pattern that might
-match does match, and a rule that denies takes nothing back.
+match does match, and a rule that denies takes nothing back. What another reader of XML might see
+otherwise, a middleware's own, is no document here: a namespace, a section of raw text, a comment
+within a value.
 Spec page: docs/spec/ros-map.md#keystore
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
-from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 
 from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import ParseError, fromstring
+from defusedxml.ElementTree import DefusedXMLParser, ParseError
 from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
@@ -38,6 +41,38 @@ TOPIC_RULES = {
     "enable_write_access_control": "true",
     "metadata_protection_kind": _ENCRYPT,
     "data_protection_kind": _ENCRYPT,
+}
+
+
+_DOMAINS = {"domains": {"id", "id_range"}, "id_range": {"min", "max"}}
+_TOPICS = {"topics": {"topic"}, "partitions": {"partition"}}
+_RULES = {str(way): set(_TOPICS) for way in Way}
+#: What may stand in what; in what is not named here, text alone.
+PERMISSIONS = {
+    "dds": {"permissions"},
+    "permissions": {"grant"},
+    "grant": {"subject_name", "validity", "allow_rule", "deny_rule", "default"},
+    "validity": {"not_before", "not_after"},
+    "allow_rule": {"domains", *_RULES},
+    "deny_rule": {"domains", *_RULES},
+    **_RULES,
+    **_TOPICS,
+    **_DOMAINS,
+}
+GOVERNANCE = {
+    "dds": {"domain_access_rules"},
+    "domain_access_rules": {"domain_rule"},
+    "domain_rule": {"domains", "topic_access_rules", *DOMAIN_RULES},
+    "topic_access_rules": {"topic_rule"},
+    "topic_rule": {"topic_expression", *TOPIC_RULES},
+    **_DOMAINS,
+}
+
+
+#: What is said once: of two, one reader might take the first, another the last.
+ONCE = {
+    *("subject_name", "validity", "not_before", "not_after", "default"),
+    *("domains", "min", "max", "topic_expression", "topic_access_rules"),
 }
 
 
@@ -104,9 +139,9 @@ def read_permissions(text: bytes, *, domain: int, where: str) -> tuple[Opened, .
     Raises:
         MalformedError: no such document.
     """
-    root = _parsed(text, where=where)
+    root = _parsed(text, PERMISSIONS, where=where)
     grants = root.findall("permissions/grant")
-    if root.tag != "dds" or not grants:
+    if not grants:
         raise MalformedError("expected permissions of DDS Security", where=where)
     return tuple(_grant(grant, domain=domain, where=where) for grant in grants)
 
@@ -117,9 +152,9 @@ def governance_faults(text: bytes, *, domain: int, where: str) -> Iterator[str]:
     Raises:
         MalformedError: no such document.
     """
-    root = _parsed(text, where=where)
+    root = _parsed(text, GOVERNANCE, where=where)
     rules = [rule for rule in root.iter("domain_rule") if _is_in(rule, domain)]
-    if root.tag != "dds" or not rules:
+    if not rules:
         raise MalformedError(f"expected rules for domain {domain}", where=where)
     for rule in rules:
         yield from _unlike(rule, DOMAIN_RULES)
@@ -169,15 +204,27 @@ def _is_in(rule: Element, domain: int) -> bool:
     if domains is None:
         return True
     try:
-        if any(int(found.text or "") == domain for found in domains.findall("id")):
+        if any(_number(found.text) == domain for found in domains.findall("id")):
             return True
         ranges = domains.findall("id_range")
         return any(
-            int(_text(found, "min") or 0) <= domain <= int(_text(found, "max") or domain)
+            _number(_text(found, "min") or "0") <= domain <= _number(_text(found, "max") or domain)
             for found in ranges
         )
     except ValueError:
         return True
+
+
+def _number(said: str | int | None) -> int:
+    """Return a number that every reader of it reads.
+
+    Raises:
+        ValueError: another might read another one, as of `4_2` or of digits that are not ours.
+    """
+    text = "" if said is None else str(said).strip()
+    if not (text.isascii() and text.isdigit()):
+        raise ValueError(text)
+    return int(text)
 
 
 def _might_match(pattern: str, topic: str) -> bool:
@@ -189,12 +236,42 @@ def _text(element: Element, path: str) -> str:
     return (element.findtext(path) or "").strip()
 
 
-def _parsed(text: bytes, *, where: str) -> Element:
+def _parsed(text: bytes, form: Mapping[str, AbstractSet[str]], *, where: str) -> Element:
+    """Return a document of a form.
+
+    Raises:
+        MalformedError: it is none, or might be read as another.
+    """
+    builder = TreeBuilder(insert_comments=True, insert_pis=True)
+    parser = DefusedXMLParser(target=builder, forbid_dtd=True)
     try:
-        found: Element = fromstring(text, forbid_dtd=True)
+        said = text.decode()  # whatever it says of its encoding
+        parser.feed(said)
+        root: Element = parser.close()
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise MalformedError("expected XML", where=where) from error
-    return found
+    if "<![CDATA[" in said:
+        raise MalformedError("expected no section of raw text", where=where)
+    if root.tag != "dds":
+        raise MalformedError("expected a document of DDS Security", where=where)
+    for element in root.iter():
+        _require_form(element, form.get(str(element.tag), frozenset()), where=where)
+    return root
+
+
+def _require_form(element: Element, within: AbstractSet[str], *, where: str) -> None:
+    """Require that an element holds what may stand in it, and once what is said once.
+
+    Raises:
+        MalformedError: it holds something else.
+    """
+    tags: list[object] = [child.tag for child in element]
+    notes = [tag for tag in tags if not isinstance(tag, str)]  # comments, instructions
+    named = [str(tag) for tag in tags if isinstance(tag, str)]
+    strange = [tag for tag in named if tag not in within or (tag in ONCE and named.count(tag) > 1)]
+    if strange or (notes and not within):  # a comment between elements is nobody's matter
+        message = f"expected in `{element.tag}` what DDS Security has there, got {named or 'notes'}"
+        raise MalformedError(message, where=where)
 
 
 def _document(kind: str) -> Element:

@@ -8,6 +8,7 @@ Spec page: docs/spec/ros-map.md#check
 
 from __future__ import annotations
 
+import os
 import stat
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -107,11 +108,9 @@ def check_keystore(ros: RosMap, folder: Path, *, now: datetime | None = None) ->
     ca = _authorities(folder)
     moment = now or datetime.now(UTC)
     rights = rights_of(ros)
-    homes = {
-        "/" + home.relative_to(folder / ENCLAVES).as_posix(): home
-        for home in sorted(_homes(folder / ENCLAVES))
-    }
-    found = [
+    found, seen = _homes(folder / ENCLAVES)
+    homes = {"/" + home.relative_to(folder / ENCLAVES).as_posix(): home for home in seen}
+    found += [
         Fault(code=Code.MISSING, where=name, message="expected an enclave of the map")
         for name in sorted(rights.keys() - homes.keys())
     ]
@@ -180,10 +179,26 @@ def _unread(error: AuthGuardError, name: str) -> Fault:
     return Fault(code=code, where=error.where or name, message=error.message)
 
 
-def _homes(root: Path) -> Iterator[Path]:
-    """Yield every folder that ROS could take for an enclave: any file of one is enough."""
-    files = {CERTIFICATE, KEY, PERMISSIONS_P7S}
-    yield from {path.parent for path in root.rglob("*") if path.name in files}
+def _homes(root: Path) -> tuple[list[Fault], list[Path]]:
+    """Return every folder that ROS could take for an enclave: any file of one is enough.
+
+    What cannot be looked into is a fault, and so is a link: ROS follows it to wherever it leads.
+    """
+    faults: list[Fault] = []
+    found: list[Path] = []
+
+    def unlisted(error: OSError) -> None:
+        message = f"cannot be looked into: {error.strerror}"
+        faults.append(Fault(code=Code.UNREADABLE, where=str(error.filename), message=message))
+
+    for name, folders, files in os.walk(root, onerror=unlisted):
+        for link in (f"{name}/{one}" for one in folders):
+            if os.path.islink(link):  # noqa: PTH114 - of what cannot be asked, it is no error
+                message = "expected a folder, got a link"
+                faults.append(Fault(code=Code.UNREADABLE, where=link, message=message))
+        if {CERTIFICATE, KEY, PERMISSIONS_P7S} & set(files):
+            found.append(Path(name))
+    return faults, sorted(found)
 
 
 def _identity(enclave: _Enclave, ca: _Authorities, now: datetime) -> Iterator[Fault]:

@@ -6,6 +6,7 @@ Source: lessons L1, L7, L21; docs/spec/ros-map.md#check
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from datetime import timedelta
@@ -144,6 +145,57 @@ def test_a_rule_for_another_domain_moves_nothing_here(keystore: Path) -> None:
     rule = ALLOWS.replace("42", "7") + "<publish><topics><topic>*</topic></topics></publish>"
     resign(keystore, PLANNER, "permissions", {ALLOWS: rule + "</allow_rule>" + ALLOWS})
     assert found(keystore) == []
+
+
+def test_a_number_that_another_reads_otherwise_is_for_every_domain(keystore: Path) -> None:
+    resign(
+        keystore, PLANNER, "permissions", {"<id>42</id>": "<id>4_3</id>", GOAL: "<topic>*</topic>"}
+    )
+    assert (Code.ACTUATES, PLANNER) in found(keystore)
+
+
+ANYTHING = "<publish><topics><topic>*</topic></topics></publish>"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {ALLOWS: f'<allow_rule xmlns="urn:x"><domains/>{ANYTHING}</allow_rule>{ALLOWS}'},
+        {ALLOWS: f"<permit_rule>{ANYTHING}</permit_rule>{ALLOWS}"},
+        {GOAL: "<topic>*<!-- not here -->/nowhere</topic>"},
+        {GOAL: "<topic>*<?x?>/nowhere</topic>"},
+        {GOAL: "<topic>*<![CDATA[/nowhere]]></topic>"},
+        {GOAL: f"{GOAL}<subtopic>*</subtopic>"},
+        {"<default>DENY</default>": "<default>DENY</default><default>ALLOW</default>"},
+        {"<validity>": "<validity/><validity>"},
+        {"<dds ": '<dds xmlns="urn:x" '},
+        {"<subject_name>": "<subject_name>CN=/other</subject_name><subject_name>"},
+    ],
+    ids=lambda change: " ".join(change.values())[:40],
+)
+def test_l21_what_another_reader_might_see_otherwise_is_no_document(
+    keystore: Path, change: dict[str, str]
+) -> None:
+    """Authorities sign what they see; what a middleware sees moves the robot."""
+    resign(keystore, PLANNER, "permissions", change)
+    assert Code.UNREADABLE in {code for code, _ in found(keystore)}
+
+
+def test_l21_a_governance_with_a_rule_that_we_do_not_see_is_none(keystore: Path) -> None:
+    rule = '<domain_rule xmlns="urn:x"><domains><id>42</id></domains></domain_rule>'
+    resign(keystore, BASE, "governance", {"<domain_rule>": f"{rule}<domain_rule>"})
+    assert Code.UNREADABLE in {code for code, _ in found(keystore)}
+
+
+def test_a_comment_between_elements_is_nobodys_matter(keystore: Path) -> None:
+    resign(keystore, PLANNER, "permissions", {ALLOWS: f"<!-- the planner's -->{ALLOWS}"})
+    assert found(keystore) == []
+
+
+def test_bytes_of_another_encoding_are_no_document(keystore: Path) -> None:
+    text = (home(keystore, BASE) / "governance.xml").read_text()
+    with pytest.raises(MalformedError, match="XML"):
+        list(governance_faults(text.encode("utf-16"), domain=42, where="x"))
 
 
 @pytest.mark.parametrize(
@@ -292,6 +344,29 @@ def test_an_enclave_that_the_map_does_not_have_is_found(keystore: Path, tmp_path
     faults = check_keystore(example(), tmp_path / "wider")
     assert {fault.where for fault in faults} == {"/robot/helper"}
     assert Code.STRANGE in {fault.code for fault in faults}
+
+
+def test_an_enclave_behind_a_link_is_found(keystore: Path, tmp_path: Path) -> None:
+    """ROS follows it, to wherever it leads."""
+    elsewhere = shutil.copytree(home(keystore, PLANNER), tmp_path / "elsewhere")
+    (keystore / ENCLAVES / "other").symlink_to(elsewhere)
+    assert found(keystore) == [(Code.UNREADABLE, "/other")]
+
+
+def test_a_folder_that_nobody_can_look_into_is_found(keystore: Path) -> None:
+    here = os.open(keystore / ENCLAVES, os.O_RDONLY)
+    for _ in range(20):  # deeper than a path may be long
+        os.mkdir("x" * 250, dir_fd=here)
+        inner = os.open("x" * 250, os.O_RDONLY, dir_fd=here)
+        os.close(here)
+        here = inner
+    os.close(here)
+    (fault,) = check_keystore(example(), keystore)
+    assert (fault.code, fault.message) == (
+        Code.UNREADABLE,
+        "cannot be looked into: File name too long",
+    )
+    shutil.rmtree(keystore / ENCLAVES / ("x" * 250))
 
 
 def test_a_map_that_moved_on_is_found(keystore: Path) -> None:

@@ -9,6 +9,7 @@ Spec page: docs/spec/ros.md#goals
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -26,6 +27,7 @@ from authguard_r.normalize.dialects import Call
 from authguard_r.ros.calls import FORMS, call_of
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.loop import Spinner
+from authguard_r.ros.nodes.process import RCLError
 from authguard_r.ros.nodes.proposals import Proposals, code_of
 from authguard_r.ros.nodes.releases import Release
 from authguard_r.ros.nodes.values import plain_of, texts_of
@@ -37,6 +39,8 @@ RESULT_S = 2
 BIND_S = 2.0
 #: Of an accepted goal, when nobody is left who could ask for its result for so long, in seconds.
 GONE_S = 2.0
+#: Who asks for a goal's result before it is there is kept until then, up to so many.
+MOST_ASKERS = 16
 #: Between two looks whether somebody is, in seconds.
 _LOOK_S = 0.25
 #: An action whose gate is lost is stopped by its controller; its end is waited for so long.
@@ -88,6 +92,8 @@ class _Server(ActionServer):  # type: ignore[misc]
     ) -> None:
         self._asked, self._bound = asked, bound
         self._answers: dict[int, GoalResponse] = {}  # by the goal's own id
+        self._deciding: set[bytes] = set()  # ids of goals that are not answered yet
+        self._askers: Counter[bytes] = Counter()  # who waits for the result of a goal
         super().__init__(
             *args,
             execute_callback=lambda _: None,
@@ -96,15 +102,44 @@ class _Server(ActionServer):  # type: ignore[misc]
         )
 
     async def _execute_goal_request(self, request_header_and_message: Any) -> None:
-        """Have a goal decided; nothing waits on the thread for the answer."""
-        self._asked(request_header_and_message)
+        """Have a goal decided; nothing waits on the thread for the answer.
+
+        One that is called as another is rejected before anybody decides it: the robot would do what
+        its planner is told was rejected.
+        """
+        taken, goal = request_header_and_message, request_header_and_message[1]
+        key = bytes(goal.goal_id.uuid)
+        if key in self._deciding or key in self._goal_handles:
+            await self._answer(taken, GoalResponse.REJECT)
+            return
+        self._deciding.add(key)
+        self._asked(taken)
 
     async def answer(self, taken: Any, response: GoalResponse) -> None:
         """Go on with a goal that was decided, as `rclpy` does with one whose answer is known."""
+        await self._answer(taken, response)
+        self._deciding.discard(bytes(taken[1].goal_id.uuid))
+
+    async def _answer(self, taken: Any, response: GoalResponse) -> None:
         goal = taken[1].goal
         self._answers[id(goal)] = response
         await super()._execute_goal_request(taken)
         self._answers.pop(id(goal), None)  # of one whose id was there already nobody asked
+
+    async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
+        """Have somebody told a goal's result, now or later; of a crowd the first ones are."""
+        key = bytes(request_header_and_message[1].goal_id.uuid)
+        if key in self._result_futures and not self._result_futures[key].done():
+            if self._askers[key] >= MOST_ASKERS:
+                return
+            self._askers[key] += 1
+        with suppress(RCLError):  # whoever asked does not take the answer
+            await super()._execute_get_result_request(request_header_and_message)
+
+    async def _execute_expire_goals(self, expired_goals: Any) -> None:
+        for goal in expired_goals:
+            self._askers.pop(bytes(goal.goal_id.uuid), None)
+        await super()._execute_expire_goals(expired_goals)
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:  # noqa: ARG002
         """Take a planner's handle of its goal; nothing waits on the thread for the end."""
@@ -201,11 +236,13 @@ class ActionInlet:
 
     def _bound(self, handle: Any) -> None:
         going = self._unbound.pop(id(handle.request), None)
-        if going is not None and not going.handle.done():
-            self._running[bytes(handle.goal_id.uuid)] = going
-            going.handle.set_result(handle)
-            if self._attending is None or self._attending.done():
-                self._attending = self._spinner.begin(self._attend())
+        if going is None:  # it was called off before its planner was told yes
+            self._server.finish(handle, partial(_ended, None, self._kind.Result()))
+            return
+        self._running[bytes(handle.goal_id.uuid)] = going
+        going.handle.set_result(handle)
+        if self._attending is None or self._attending.done():
+            self._attending = self._spinner.begin(self._attend())
 
     async def _attend(self) -> None:
         """Call off every goal that runs once no planner of the action has been there for a while.

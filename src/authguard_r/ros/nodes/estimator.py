@@ -15,7 +15,6 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from msgspec import Struct
@@ -25,7 +24,7 @@ from authguard_r.client.attesting import Attester, AttestingEnd, Seen, aged
 from authguard_r.client.greeting import GateVerifier
 from authguard_r.client.link import Log, require_folder, run_all, until_told, wall_now
 from authguard_r.client.sensing import listen, read_raw
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
+from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Identifier, RobotId, VariableId
 from authguard_r.core.ports import Signer
 from authguard_r.core.provenance import Label
@@ -36,8 +35,8 @@ from authguard_r.keys.signer import certified
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import Position, RosMap, read_map
 from authguard_r.ros.nodes.localization import Localization
-from authguard_r.ros.nodes.loop import Spinner
-from authguard_r.ros.nodes.process import DEMO, made_node, require_bench
+from authguard_r.ros.nodes.loop import raised, spun
+from authguard_r.ros.nodes.process import DEMO, plain_node, require_bench, ros_context
 from authguard_r.ros.position import MS, Fix, Track
 from authguard_r.ros.rights import ESTIMATOR_NODE
 from authguard_r.ros.security import require_security
@@ -152,47 +151,28 @@ async def attest(place: Place, log: Log, until: asyncio.Event) -> None:
     """
     robot, position = place.ros.robot, place.position
     name = ESTIMATOR_NODE.removeprefix("/")
-    with made_node(name, place.ros, place.ros.enclaves.estimator) as node:
-        heard = _localization(node, place, log)
-        estimate = Estimate(robot, position, lambda: heard.fix)
-        end = AttestingEnd(
-            robot,
-            Attester(place.signer, epoch=wall_now().utc_ms, rate_hz=place.rate_hz),
-            place.run,
-            trust=place.trust,
-            look=estimate.look,
-            ready=lambda: _ready(robot),
-            log=log,
-        )
-        failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        spinner = Spinner(node, partial(_fail, failed))
-        spinner.start()
-        try:
+    enclave = place.ros.enclaves.estimator
+    with ros_context(place.ros, enclave) as context:
+        node = plain_node(name, context, enclave)
+        async with spun(node, reason=Reason.STATE_MISSING) as (spinner, failed):
+            heard = await spinner.do(_localization, node, place, log)
+            estimate = Estimate(robot, position, lambda: heard.fix)
+            end = AttestingEnd(
+                robot,
+                Attester(place.signer, epoch=wall_now().utc_ms, rate_hz=place.rate_hz),
+                place.run,
+                trust=place.trust,
+                look=estimate.look,
+                ready=lambda: _ready(robot),
+                log=log,
+            )
             listening = listen(place.run, estimate.heard, log)
-            works = (end.stay(), end.sign(), listening, _raised(failed))
-            await run_all(works, until=until)
-        finally:
-            failed.cancel()
-            await spinner.close()
+            await run_all((end.stay(), end.sign(), listening, raised(failed)), until=until)
 
 
 def _localization(node: Node, place: Place, log: Log) -> Localization:
     track = Track(max_speed_mm_s=place.max_speed_mm_s, margin_mm=place.position.margin_mm)
     return Localization(node, place.position, track, log)
-
-
-def _fail(failed: asyncio.Future[None], why: BaseException) -> None:
-    """End the process: a node that does not spin hears of nothing."""
-    failed.set_exception(
-        EnvironmentFault(
-            f"the node does not spin any more: {type(why).__name__}: {why}",
-            reason=Reason.STATE_MISSING,
-        )
-    )
-
-
-async def _raised(failed: asyncio.Future[None]) -> None:
-    await failed
 
 
 def _ready(robot: RobotId) -> None:

@@ -114,6 +114,8 @@ class States:
         self._place, self._context, self._log = place, context, log
         self._loop = asyncio.get_running_loop()
         self._asked: asyncio.Queue[_Asked] = asyncio.Queue()
+        self._waiting: set[_Asked] = set()
+        self._is_over = False
         #: why it is not configured, if somebody tried
         self.fault: AuthGuardError | None = None
         #: what of the robot was not there when it was configured
@@ -125,8 +127,14 @@ class States:
 
     async def _carried(self, step: Step) -> bool:
         asked = _Asked(step, self._loop.create_future())
+        if self._is_over:
+            return False
+        self._waiting.add(asked)
         self._asked.put_nowait(asked)
-        return await asked.done
+        try:
+            return await asked.done
+        finally:
+            self._waiting.discard(asked)
 
     async def live(self) -> None:
         """Carry out transitions until it is shut down.
@@ -134,13 +142,18 @@ class States:
         Raises:
             AuthGuardError: it was configured, and cannot go on.
         """
-        while True:
-            asked = await self._asked.get()
-            ended = asked if asked.step is Step.SHUTDOWN else await self._configure(asked)
-            if ended is not None:
-                ended.answer(done=True)
-                if ended.step is Step.SHUTDOWN:
-                    return
+        try:
+            while True:
+                asked = await self._asked.get()
+                ended = asked if asked.step is Step.SHUTDOWN else await self._configure(asked)
+                if ended is not None:
+                    ended.answer(done=True)
+                    if ended.step is Step.SHUTDOWN:
+                        return
+        finally:
+            self._is_over = True
+            for asked in self._waiting:  # the thread that asked waits, and nobody else answers
+                asked.answer(done=False)
 
     async def _configure(self, asked: _Asked) -> _Asked | None:
         """Live configured; return what ended that, None when it was not configured."""

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from authguard_r.client.link import Log
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.reasons import Reason
 
 T = TypeVar("T")
 
@@ -152,6 +154,44 @@ class Spinner:
             why = error
         if not self._is_closed:
             self.soon(self._failed, why)
+
+
+@asynccontextmanager
+async def spun(
+    node: Any, *, reason: Reason = Reason.CONTROLLER_FAILED
+) -> AsyncIterator[tuple[Spinner, asyncio.Future[None]]]:
+    """Yield a node's thread, and a future that fails when that ends by itself; end both.
+
+    Args:
+        node: it is destroyed in the end.
+        reason: of that failure.
+    """
+    failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def fail(why: BaseException) -> None:
+        if not failed.done():
+            failed.set_exception(
+                EnvironmentFault(
+                    f"the node does not spin any more: {type(why).__name__}: {why}",
+                    reason=reason,
+                )
+            )
+
+    spinner = Spinner(node, fail)
+    spinner.start()
+    try:
+        yield spinner, failed
+    finally:
+        if failed.done():
+            failed.exception()  # whoever waited for it has it, or leaves for another reason
+        failed.cancel()
+        await spinner.close()
+        node.destroy_node()
+
+
+async def raised(failed: asyncio.Future[None]) -> None:
+    """Raise what a future brings, for whoever waits for a task: it is not canceled with that."""
+    await asyncio.shield(failed)
 
 
 async def kept(work: Callable[[], Coroutine[Any, Any, None]], log: Log) -> None:

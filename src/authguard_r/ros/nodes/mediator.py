@@ -33,7 +33,7 @@ from authguard_r.ros.nodes.actions import ActionInlet, Public
 from authguard_r.ros.nodes.body import Means, RosBody
 from authguard_r.ros.nodes.goals import ActionOutlet
 from authguard_r.ros.nodes.heartbeat import gate_heartbeat
-from authguard_r.ros.nodes.loop import Spinner
+from authguard_r.ros.nodes.loop import Spinner, raised, spun
 from authguard_r.ros.nodes.outlets import MessageOutlet, Outlet, Robot, ServiceOutlet
 from authguard_r.ros.nodes.process import plain_node, ros_context
 from authguard_r.ros.nodes.proposals import Proposals
@@ -41,7 +41,7 @@ from authguard_r.ros.nodes.releases import Releases
 from authguard_r.ros.nodes.services import MessageInlet, ServiceInlet
 from authguard_r.ros.nodes.streams import StreamInlet
 from authguard_r.ros.nodes.telling import Telling
-from authguard_r.ros.nodes.values import load_type
+from authguard_r.ros.nodes.values import load_type, require_narrow
 from authguard_r.ros.nodes.velocity import StreamOutlet
 from authguard_r.ros.rights import GATE_NODE
 from authguard_r.site.model import Site
@@ -207,10 +207,13 @@ async def configured(place: Place, context: Context, log: Log) -> AsyncIterator[
     types = {
         key: load_type(item.type, PARTS[item.kind]) for key, item in place.ros.mediated.items()
     }
-    async with _spun(context, "gate_robot", place.ros.enclaves.gate) as (spinner, failed):
+    for key, item in place.ros.mediated.items():
+        require_narrow(types[key], PARTS[item.kind], where=f"mediated.{key}.type")
+    node = plain_node("gate_robot", context, place.ros.enclaves.gate, namespace=NAMESPACE)
+    async with spun(node) as (spinner, failed):
         mediator = Mediator(place, spinner, types, log)
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(_raised(failed)), group.create_task(mediator.driver.stay())]
+            tasks = [group.create_task(raised(failed)), group.create_task(mediator.driver.stay())]
             await spinner.do(mediator.reach)
             await _ready(mediator)
             try:
@@ -225,11 +228,9 @@ async def configured(place: Place, context: Context, log: Log) -> AsyncIterator[
 @asynccontextmanager
 async def serving(mediator: Mediator, context: Context) -> AsyncIterator[None]:
     """Serve planners; in the end the robot is stopped first, and they are told how that ended."""
-    async with (
-        _spun(context, "gate_planners", mediator.enclave) as (spinner, failed),
-        asyncio.TaskGroup() as group,
-    ):
-        watching = group.create_task(_raised(failed))
+    node = plain_node("gate_planners", context, mediator.enclave, namespace=NAMESPACE)
+    async with spun(node) as (spinner, failed), asyncio.TaskGroup() as group:
+        watching = group.create_task(raised(failed))
         mediator.body.is_served = True
         await spinner.do(mediator.serve, spinner)
         try:
@@ -251,37 +252,6 @@ async def mediating(place: Place, log: Log) -> AsyncIterator[Mediator]:
     with ros_context(place.ros, place.ros.enclaves.gate) as context:
         async with configured(place, context, log) as mediator, serving(mediator, context):
             yield mediator
-
-
-@asynccontextmanager
-async def _spun(
-    context: Context, name: str, enclave: str
-) -> AsyncIterator[tuple[Spinner, asyncio.Future[None]]]:
-    """Yield a node with its thread, and a future that fails when the thread ends by itself."""
-    failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-
-    def fail(why: BaseException) -> None:
-        if not failed.done():
-            failed.set_exception(
-                EnvironmentFault(
-                    f"the node does not spin any more: {type(why).__name__}: {why}",
-                    reason=Reason.CONTROLLER_FAILED,
-                )
-            )
-
-    node = plain_node(name, context, enclave, namespace=NAMESPACE)
-    spinner = Spinner(node, fail)
-    spinner.start()
-    try:
-        yield spinner, failed
-    finally:
-        failed.cancel()
-        await spinner.close()
-        node.destroy_node()
-
-
-async def _raised(failed: asyncio.Future[None]) -> None:
-    await failed
 
 
 async def _ready(mediator: Mediator) -> None:

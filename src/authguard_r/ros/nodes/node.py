@@ -15,6 +15,7 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
@@ -23,7 +24,7 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import RosMap, read_map
 from authguard_r.ros.nodes.lifecycle import Managed, States
-from authguard_r.ros.nodes.loop import Spinner
+from authguard_r.ros.nodes.loop import Spinner, spun
 from authguard_r.ros.nodes.mediator import Place
 from authguard_r.ros.nodes.process import DEMO, made_by_ros, require_bench, ros_context
 from authguard_r.ros.security import require_security
@@ -70,32 +71,40 @@ async def _serve(given: argparse.Namespace) -> None:
         facts = {"robot": ros.robot, "security": "none" if given.demo else "enforced"}
         with made_by_ros(ros.enclaves.gate):
             node = Managed(context, facts, states.carry)
-        spinner = Spinner(node, lambda _: over.set())
-        spinner.start()
-        living = asyncio.ensure_future(states.live())
-        living.add_done_callback(lambda _: over.set())
-        try:
-            if not given.managed:
-                await _begin(node, spinner, states)
-            _say({"ready": True, "missing": list(states.missing)})
-            await over.wait()
-            if not living.done():
-                await spinner.do(node.trigger_shutdown)
-            await living
-        finally:
-            living.cancel()
-            await asyncio.gather(living, return_exceptions=True)
-            await spinner.close()
-            node.destroy_node()
+        async with spun(node) as (spinner, failed):
+            living = asyncio.ensure_future(states.live())
+            begins = asyncio.ensure_future(_begin(node, spinner, states, is_managed=given.managed))
+            ends = asyncio.ensure_future(over.wait())
+            try:
+                await _first(failed, living, begins, ends)
+                if not living.done() and not ends.done():
+                    _say({"ready": True, "missing": list(states.missing)})
+                    await _first(failed, living, ends)
+                if begins.done():  # else it goes as it came: what was reached is let go
+                    if not living.done():
+                        await spinner.do(node.trigger_shutdown)
+                    await living
+            finally:
+                tasks = (living, begins, ends)
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _begin(node: Managed, spinner: Spinner, states: States) -> None:
-    """Configure and activate it at once, for nobody else does.
+async def _first(*tasks: asyncio.Future[Any]) -> None:
+    """Wait for one of several; raise what ended it."""
+    done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in done:
+        task.result()
+
+
+async def _begin(node: Managed, spinner: Spinner, states: States, *, is_managed: bool) -> None:
+    """Configure and activate it at once, unless somebody else does.
 
     Raises:
         AuthGuardError: it cannot be configured.
     """
-    for trigger in (node.trigger_configure, node.trigger_activate):
+    for trigger in () if is_managed else (node.trigger_configure, node.trigger_activate):
         said = await spinner.do(trigger)
         if said is not TransitionCallbackReturn.SUCCESS and states.fault is not None:
             raise states.fault

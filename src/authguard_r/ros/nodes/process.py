@@ -21,13 +21,14 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust
 from authguard_r.ros.map import RosMap
-from authguard_r.ros.security import ENABLE, require_security
+from authguard_r.ros.security import ENABLE, RMW, SECURED, require_security
 
 RCLError = rclpy_implementation.RCLError
 #: What a process ends with: its words, or what they name, are wrong.
@@ -169,8 +170,18 @@ def made_node(name: str, ros: RosMap, enclave: str) -> Iterator[Node]:
 
 @contextmanager
 def ros_context(ros: RosMap, enclave: str) -> Iterator[Context]:
-    """Yield a place in ROS: the map's domain, and an enclave."""
+    """Yield a place in ROS: the map's domain, and an enclave.
+
+    Raises:
+        EnvironmentFault: ROS 2 makes none, or took a middleware that keeps to no keystore.
+    """
     context = Context()
+    if ENABLE in os.environ and (loaded := get_rmw_implementation_identifier()) not in SECURED:
+        raise EnvironmentFault(
+            f"expected a middleware with DDS security, got `{loaded}`",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=RMW,
+        )
     with made_by_ros(enclave):
         rclpy.init(
             args=["--ros-args", "--enclave", enclave],

@@ -8,19 +8,25 @@ Spec page: docs/spec/ros.md#services
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome
 from authguard_r.normalize.dialects import Call
 from authguard_r.ros.calls import FORMS
 from authguard_r.ros.map import Mediated
 from authguard_r.ros.nodes.actions import Public, read_call
+from authguard_r.ros.nodes.process import RCLError
 from authguard_r.ros.nodes.proposals import code_of
 from authguard_r.ros.nodes.releases import Release
 from authguard_r.tools.planner import Asked, LostError
 
+#: To send an answer takes so long where DDS waits for a client that does not take it, in seconds.
+DEAF_S = 0.05
 _DEPTH = 10
 #: In the place of an answer.
 _SILENCE = object()
@@ -41,6 +47,7 @@ class ServiceInlet:
         service = public.spinner.node.create_service(
             kind, item.public, lambda asked, _: read_call(item, asked), callback_group=public.group
         )
+        self._is_deaf = False  # a planner of it did not take an answer
         self._send = service.send_response
         service.send_response = self._read  # what `rclpy` calls with what `read_call` returned
 
@@ -54,25 +61,45 @@ class ServiceInlet:
         )
 
     def _answer(self, header: Any, response: Any) -> None:
-        if response is not _SILENCE:
+        if response is _SILENCE:
+            return
+        if self._is_deaf:  # each answer to such a planner holds whoever sends it
+            self._public.spinner.run(self._told, header, response)
+        else:
+            self._told(header, response)
+
+    def _told(self, header: Any, response: Any) -> None:
+        begun = time.monotonic()
+        with suppress(RCLError):  # a newer `rclpy` only warns
             self._send(response, header)
+        if time.monotonic() - begun >= DEAF_S:
+            self._is_deaf = True
+            self._public.log.say("unheard", self._key)
 
     async def _answered(self, read: Call | MalformedError) -> Any:
         found: list[Release] = []
         code, asked = await propose(self._public, self._item, read, found)
-        if asked is not None and asked.results and found and found[0].key == self._key:
-            answer = found[0].answer
-            return self._refusal(Reason.INPUT_TOO_LARGE) if answer is None else answer
-        return self._refusal(code)
+        if asked is None or not asked.results or not found:
+            return self._refusal(code)
+        answer = found[0].answer
+        if isinstance(answer, self._kind.Response):
+            return answer
+        # it is too long to be told, or another type's: a way of the binding that comes first did it
+        why = code or (Reason.INPUT_TOO_LARGE if answer is None else "")
+        return self._said(why, is_done=asked.execution == Outcome.SUCCEEDED)
 
     def _refusal(self, code: str) -> Any:
-        """Return an answer that says no, and why; silence where the type has no word for it."""
+        """Return an answer that says no, and why."""
         self._public.log.say("refused", self._key, reason=str(code))
+        return self._said(code, is_done=False)
+
+    def _said(self, code: str, *, is_done: bool) -> Any:
+        """Return an answer of the gate's own; silence where the type has no word for it."""
         fields = self._kind.Response.get_fields_and_field_types()
         if fields.get("success") != "boolean" or fields.get("message") != "string":
             return _SILENCE
         response = self._kind.Response()
-        response.success, response.message = False, str(code)
+        response.success, response.message = is_done, str(code)
         return response
 
 

@@ -64,6 +64,19 @@ def load_type(name: str, part: Part) -> Any:
     return found
 
 
+def require_narrow(kind: Any, part: Part, *, where: str) -> None:
+    """Require that what planners send of a type has no wide string.
+
+    The Python of ROS 2 ends on one whose units are no text, before anybody could refuse it.
+
+    Raises:
+        MalformedError: it has one.
+    """
+    asked = {Part.ACTION: "Goal", Part.SERVICE: "Request"}.get(part)
+    if any(_wide(kind if asked is None else getattr(kind, asked))):
+        raise MalformedError("expected a type that planners send without `wstring`", where=where)
+
+
 def plain_of(message: Any, *, where: str = "", is_asked: bool = False) -> dict[str, Any]:
     """Return a message as plain JSON data: what it holds, and nothing else.
 
@@ -113,6 +126,16 @@ def texts_of(message: Any) -> tuple[str, ...]:
 def _fields(kind: Any) -> dict[str, Any]:
     """Return the type of each field of a message's class."""
     return dict(zip(kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True))
+
+
+def _wide(kind: Any) -> Iterator[bool]:
+    """Yield True for every wide string that a message of a class may hold."""
+    for field in _fields(kind).values():
+        within = field.value_type if isinstance(field, AbstractNestedType) else field
+        if isinstance(within, NamespacedType):
+            yield from _wide(_class_of(tuple(within.namespaces), within.name))
+        else:
+            yield isinstance(within, AbstractWString)
 
 
 @cache

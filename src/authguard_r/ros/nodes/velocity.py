@@ -2,7 +2,8 @@
 """The robot's side of a stream: one publisher of velocities, which says zero when nothing runs.
 
 It publishes all the time: its silence is what a watch of the robot's stops on. A velocity goes out
-only while the gate's ends are alive. Spec page: docs/spec/ros.md#streams
+only while the gate's ends are alive, and the thread of ROS turns, which hears how the robot is.
+Spec page: docs/spec/ros.md#streams
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 from authguard_r.client.link import mono_ms
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
-from authguard_r.ros.nodes.heartbeat import PERIOD_MS, actuation_qos, steady
+from authguard_r.ros.nodes.heartbeat import PERIOD_MS, TURN_MS, actuation_qos, steady
 from authguard_r.ros.nodes.outlets import STOP_S, Order, Robot
 from authguard_r.site.model import Profile, stopping_mm
 
@@ -44,6 +45,7 @@ class StreamOutlet:
         self._ends_ms = 0
         self._is_sampled = self._is_closing = self._is_silent = False
         self._turn = threading.Lock()  # what was said before is not said again after zero
+        self._turned_ms = 0  # when the thread of ROS came by last
         self._stood_ms = mono_ms()
         node = robot.spinner.node
         qos = actuation_qos()
@@ -76,6 +78,8 @@ class StreamOutlet:
         if not speed_mm_s or self._is_closing:
             self.rest()
             return
+        if mono_ms() - self._turned_ms >= TURN_MS:
+            return  # the heartbeat is silent too: no planner's hand drives on what nobody watches
         self._speed_mm_s = max(self._speed_mm_s, speed_mm_s)
         self._say(message)
 
@@ -125,6 +129,7 @@ class StreamOutlet:
 
         When the ends do not look any more, zero is the last word: silence stops what is left.
         """
+        self._turned_ms = mono_ms()
         with self._turn:
             if self._robot.is_alive():
                 self._is_silent = False

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A guarded robot as it is deployed: the gate's node, its dead-man, its relay, a robot, a planner.
+
+`FASTDDS_BUILTIN_TRANSPORTS=UDPv4`, as deploy/ros/ros.env says, is the caller's: who writes to a
+process that was stopped would wait for it in shared memory.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from geometry_msgs.msg import Twist
+
+from gates import RunningGate, until
+from ros.graph import Base, Graph, graph_of
+from ros.hospital import HERE
+from ros.stuck import EXECUTORS, LOOP, ROBOTS
+from ros_stopping import Actor
+
+STUCK = (sys.executable, str(Path(__file__).with_name("stuck.py")))
+#: What may become of the gate's node, by the signal that does it.
+FAULTS = {
+    "killed": signal.SIGKILL,
+    "stopped by the kernel": signal.SIGSTOP,
+    "dead-locked executors": EXECUTORS,
+    "a dead-locked executor of the robot's side": ROBOTS,
+    "a stuck loop of asyncio": LOOP,
+}
+TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+ARMED = '"event": "armed"'
+
+
+class Guarded:
+    """A robot whose wheels hear the relay, and whose goals the dead-man may cancel."""
+
+    def __init__(self, graph: Graph, ending: ExitStack) -> None:
+        self.graph = graph
+        self.wheels = Base(graph.robot, Twist, "/base/cmd_vel")
+        text = (HERE / "map.yaml").read_text()
+        text = text.replace("[/robot]}", "[/robot], publishes: [/base/cmd_vel]}")
+        source = graph.folder / "source.yaml"  # the graph gives it its domain
+        source.write_text(text)
+        self.map = graph.folder / "guarded.yaml"
+        self.map.write_text(text.replace("domain: 1\n", f"domain: {graph.domain}\n"))
+        self.relay = self._start(ending, "actuator", "wheels", "/base/cmd_vel")
+        self.deadman = self._start(ending, "deadman")
+        graph.start(source, STUCK)
+        self.deadman.says(ARMED)
+        until(lambda: self.wheels.told, "the relay")
+
+    def _start(self, ending: ExitStack, module: str, *words: str) -> Actor:
+        name = f"authguard_r.ros.nodes.{module}"
+        actor = Actor(["-m", name, str(self.map), *words, "--demo"], sys.executable)
+        ending.callback(actor.end)
+        actor.event("ready")
+        return actor
+
+    def stood_s(self, after: float) -> float:
+        """Return when the wheels were told zero, and never anything else since."""
+
+        def found() -> float | None:
+            told = zip(self.wheels.at_s, self.wheels.speeds, strict=False)
+            since = [(at, speed) for at, speed in tuple(told) if at > after]
+            zeros = [at for at, speed in since if speed == 0.0]
+            return zeros[0] if zeros else None
+
+        stood = until(found, "wheels that stand")
+        assert isinstance(stood, float)
+        return stood
+
+
+@contextmanager
+def guarded(folder: Path, gate: RunningGate) -> Iterator[Guarded]:
+    with graph_of(folder, gate) as graph, ExitStack() as ending:
+        yield Guarded(graph, ending)
