@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an env
 from geometry_msgs.msg import Twist
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from std_srvs.srv import Empty, Trigger
+from std_srvs.srv import SetBool, Trigger
 from test_msgs.action import Fibonacci, NestedMessage
 
 from gates import RunningGate, until
@@ -151,14 +151,17 @@ def test_a_publisher_of_another_type_under_the_same_name_is_heard_by_nobody(grap
 def test_a_planner_of_another_type_of_an_action_or_a_service_is_heard_by_nobody(
     graph: Graph,
 ) -> None:
-    """It was built with other interfaces: what it sends is read as nothing else."""
+    """It was built with other interfaces: what it sends is read as nothing else.
+
+    A request with the same fields under another type's name is matched by DDS, and is the same.
+    """
     graph.start()
     liar = graph.planner("liar")
     goals = Client(liar.node, NestedMessage, "/llm/fibonacci", callback_group=liar.group)
-    calls = liar.node.create_client(Empty, "/llm/horn", callback_group=liar.group)
+    calls = liar.node.create_client(SetBool, "/llm/horn", callback_group=liar.group)
     asked = [
         liar.ask(lambda: goals.send_goal_async(NestedMessage.Goal())),
-        liar.ask(lambda: calls.call_async(Empty.Request())),
+        liar.ask(lambda: calls.call_async(SetBool.Request(data=True))),
     ]
     served(graph, graph.planner("another"))
     assert not any(one.done() for one in asked)
