@@ -40,7 +40,7 @@ POLICY = "approvers:\n  - name: authguard_r/authguard\n    tools: '*'\n"
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Iterator[Courier]:
-    # what Inspect loads at its first call holds Python, and with it both ends, for longer than 300 ms
+    # what Inspect loads at its first call holds Python and both ends of the gate: over 300 ms
     with courier(tmp_path, renew_within_ms=3_000) as made:
         yield made
 
