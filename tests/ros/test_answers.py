@@ -19,6 +19,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an env
 
 from action_msgs.msg import GoalStatus
 from rclpy.action import GoalResponse
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 from test_msgs.action import Fibonacci
@@ -103,7 +104,14 @@ def test_of_a_crowd_that_asks_for_a_result_the_first_are_told() -> None:
     def take(taken: Any) -> None:
         robot._executor.create_task(server.answer, taken, GoalResponse.ACCEPT)
 
-    server = _Server(robot.node, Fibonacci, "/llm/fibonacci", asked=take, bound=handles.append)
+    server = _Server(
+        robot.node,
+        Fibonacci,
+        "/llm/fibonacci",
+        asked=take,
+        bound=handles.append,
+        callback_group=MutuallyExclusiveCallbackGroup(),  # the node has one thread for it
+    )
     try:
         raw, key = Raw(planner).seen(), new_id()
         assert raw.goal(key).result(PATIENCE_S).accepted

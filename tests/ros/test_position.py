@@ -39,13 +39,16 @@ from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, GrantId
+from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.envelope import seal
 from authguard_r.ros.map import parse_map
-from authguard_r.ros.nodes.estimator import Estimate, _fail, _raised
+from authguard_r.ros.nodes.estimator import Estimate
 from authguard_r.ros.nodes.heartbeat import ALL
 from authguard_r.ros.nodes.heartbeat import Told as Without
 from authguard_r.ros.nodes.localization import Localization
+from authguard_r.ros.nodes.loop import raised, spun
+from authguard_r.ros.nodes.process import plain_node, ros_context
 from authguard_r.ros.position import Fix, Track, Why
 from authguard_r.ros.rights import rights_of
 from authguard_r.sim.sight import snapshot_of
@@ -601,12 +604,19 @@ def test_without_sensors_the_place_and_the_speed_are_all_that_is_attested() -> N
 
 
 def test_a_node_that_does_not_spin_any_more_ends_the_process() -> None:
-    async def fails() -> None:
-        failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        _fail(failed, RuntimeError("stuck"))
-        await _raised(failed)
+    ros = parse_map((HERE / "map.yaml").read_text(), where="map")
 
-    with pytest.raises(EnvironmentFault, match="does not spin any more"):
+    def stuck() -> None:
+        raise RuntimeError("stuck")
+
+    async def fails() -> None:
+        with ros_context(ros, "/x") as context:
+            node = plain_node("gone", context, "/x")
+            async with spun(node, reason=Reason.STATE_MISSING) as (spinner, failed):
+                spinner.run(stuck)
+                await raised(failed)
+
+    with pytest.raises(EnvironmentFault, match="does not spin any more: RuntimeError: stuck"):
         asyncio.run(fails())
 
 

@@ -39,8 +39,9 @@ RESULT_S = 2
 BIND_S = 2.0
 #: Of an accepted goal, when nobody is left who could ask for its result for so long, in seconds.
 GONE_S = 2.0
-#: Who asks for a goal's result before it is there is kept until then, up to so many.
-MOST_ASKERS = 16
+#: Who asks for a goal's result before it is there is kept until then, up to so many: of answers
+#: that leave together DDS keeps ten.
+MOST_ASKERS = 8
 #: Between two looks whether somebody is, in seconds.
 _LOOK_S = 0.25
 #: An action whose gate is lost is stopped by its controller; its end is waited for so long.
