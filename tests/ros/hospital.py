@@ -92,11 +92,11 @@ BRAKES = {"brake_mm_s2": 1000, "reaction_ms": 20}
 
 
 @contextmanager
-def hospital() -> Iterator[RunningGate]:
-    """Yield a gate of it, in a folder whose sockets have short names."""
+def hospital(binding: Path = HERE / "binding.yaml") -> Iterator[RunningGate]:
+    """Yield a gate of it, in a folder whose sockets have short names; perhaps of other tools."""
     with gate_of(
         Path(mkdtemp(prefix="ag-ros-", dir="/tmp")),
-        HERE / "binding.yaml",
+        binding,
         tools=TOOLS,
         grants=(*GRANTS, CHIME),
         profile=BRAKES,

@@ -27,9 +27,8 @@ from unique_identifier_msgs.msg import UUID
 
 from authguard_r.ros.nodes.actions import BIND_S, MOST_ASKERS, RESULT_S, _Server
 from gates import RunningGate, until
-from robots import gate_of
 from ros.graph import PATIENCE_S, Goal, Graph, Peer, Planner, graph_of, next_domain
-from ros.hospital import BESIDE, BRAKES, BUDGETS, CHIME, GRANTS, HERE, TOOLS
+from ros.hospital import HERE, hospital
 from ros.test_mediation import asked, fibonacci, outcomes
 
 SEND, RESULT = Fibonacci.Impl.SendGoalService, Fibonacci.Impl.GetResultService
@@ -187,19 +186,7 @@ def test_a_call_that_another_of_the_same_meaning_carries_out_is_answered_as_it_w
     plain["tools"]["call_service"][1] = {**announce, "when": hold["when"]}
     binding = tmp_path / "binding.yaml"
     binding.write_text(json.dumps(plain))  # without aliases
-    with (
-        gate_of(
-            tmp_path,
-            binding,
-            tools=TOOLS,
-            grants=(*GRANTS, CHIME),
-            profile=BRAKES,
-            beside=BESIDE,
-            changes={"budgets": BUDGETS},
-            fold_ms=0,
-        ) as gate,
-        graph_of(tmp_path, gate) as graph,
-    ):
+    with hospital(binding) as gate, graph_of(tmp_path, gate) as graph:
         gate.mark()
         graph.start()
         said = graph.planner().call(Trigger, "/llm/hold", Trigger.Request()).result(20)
