@@ -31,7 +31,7 @@ FAULTS = {
     "a stuck loop of asyncio": LOOP,
 }
 TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-ARMED = '"event": "armed"'
+ARMED, FOUND = '"event": "armed"', '"event": "found"'
 
 
 class Guarded:
@@ -50,6 +50,7 @@ class Guarded:
         self.deadman = self._start(ending, "deadman")
         graph.start(source, STUCK)
         self.deadman.says(ARMED)
+        self.deadman.says(FOUND, times=2)  # of both servers: nodes find one another slowly
         until(lambda: self.wheels.told, "the relay")
 
     def _start(self, ending: ExitStack, module: str, *words: str) -> Actor:
