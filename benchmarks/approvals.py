@@ -28,7 +28,7 @@ from authguard_r.keys.setup import Member, init_folder
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from measure import Effort, Subject, Timing, interleave, timed
-from scene import worlds
+from scene import scenarios
 
 #: How many people approve.
 PEOPLE = (1, 2, 3, 5, 7)
@@ -65,13 +65,13 @@ def _tokens(folder: Path) -> tuple[list[bytes], object, bytes]:
         Member(id=f"approver-{n}", role=Role.SUPERVISOR, robots=None, regions=None)
         for n in range(max(PEOPLE))
     )
-    init_folder(at, (*demo_members(worlds.site(), ()), *people), now=datetime.now(UTC))
+    init_folder(at, (*demo_members(scenarios.site(), ()), *people), now=datetime.now(UTC))
     digest = b64(bytes(32))
     approval = Approval(
         mid="deliver-p1",
         version=1,
         mission=digest,
-        rid=worlds.RID,
+        rid=scenarios.RID,
         grant="go-to-101",
         scope=digest,
         situation=digest,

@@ -28,7 +28,7 @@ from authguard_r.report import decision_entry
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
 from measure import Effort, Subject, Timing, interleave, timed
-from scene import HIJACKED, Bench, bench, command, long_mission, reply, worlds
+from scene import HIJACKED, Bench, bench, command, long_mission, reply, scenarios
 from yardsticks import BareInsert
 
 MID = "deliver-often"
@@ -98,7 +98,7 @@ def revocations(folder: Path, count: int) -> dict[str, Any]:
         Times, and whether each revocation evicted the kept mission: before it a proposal
         verifies no mission, after it the mission's own token has to be verified anew.
     """
-    trust = _counting(worlds.trust_folder())
+    trust = _counting(scenarios.trust_folder())
     held = bench(open_store(folder / "revoked.db"), trust=trust)
     (step,), evidence = held.steps()
     kept, refused, evicted = [], [], []
@@ -142,7 +142,7 @@ def revocations(folder: Path, count: int) -> dict[str, Any]:
 
 def sizes(folder: Path) -> dict[str, int]:
     """Return bytes of token and log: raw, compressed, for each decision and for 100 actions."""
-    token = worlds.token()
+    token = scenarios.token()
     path = folder / "sizes.db"
     _run_actions(folder / "empty.db", 0)
     _run_actions(path, 100)
@@ -153,7 +153,7 @@ def sizes(folder: Path) -> dict[str, int]:
     return {
         "token_bytes": len(token),
         "token_zlib_bytes": len(zlib.compress(token, 9)),
-        "mission_payload_bytes": len(encode(worlds.mission())),
+        "mission_payload_bytes": len(encode(scenarios.mission())),
         "decision_record_bytes": round(median(decided)),
         "outcome_record_bytes": round(median(settled)),
         "log_bytes_100_actions": sum(decided) + sum(settled),

@@ -36,7 +36,7 @@ from durable import row_size
 from echo import echoing
 from line import ACCEPTED, REFUSED, Line
 from measure import Effort, Subject, Timing, interleave, timed
-from scene import worlds
+from scene import scenarios
 from serving import busy_mission, serving
 from yardsticks import BareInsert
 
@@ -120,22 +120,22 @@ class _Twin:
     """The gate's work in this process, as a library does it."""
 
     def __init__(self, path: Path) -> None:
-        site, now_ms = worlds.site(), time_ns() // 1_000_000
-        signer = folder_signer(worlds.trust_folder(), gate_name(worlds.RID))
+        site, now_ms = scenarios.site(), time_ns() // 1_000_000
+        signer = folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID))
         self._robot = SymbolicRobot(
             site,
-            worlds.RID,
-            initial_state(site, site.robots[worlds.RID].home),
-            estimator=folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}"),
+            scenarios.RID,
+            initial_state(site, site.robots[scenarios.RID].home),
+            estimator=folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}"),
             start_ms=now_ms,
             epoch=now_ms,
         )
-        bounds = gate_defaults(worlds.RID, (), Mode.ENFORCE)
+        bounds = gate_defaults(scenarios.RID, (), Mode.ENFORCE)
         self._gate = assemble(
-            trust=read_trust(worlds.trust_folder()),
+            trust=read_trust(scenarios.trust_folder()),
             chain=signer.chain,
             site=site,
-            safety=EnvelopeGate(default_config(site, worlds.RID)),
+            safety=EnvelopeGate(default_config(site, scenarios.RID)),
             controller=self._robot,
             source=self._robot,
             clock=self._robot,
@@ -145,7 +145,7 @@ class _Twin:
             refusals=RefusalPolicy(delay_ms=DELAY_MS, fold_ms=bounds.fold_ms),
             stand_within_ms=bounds.stand_within_ms,
         )
-        self._binder = Binder(site, worlds.binding())
+        self._binder = Binder(site, scenarios.binding())
         self._context = ContextLedger(self._binder.spellings())
         self._flushed = monotonic()
         self._keys = 0

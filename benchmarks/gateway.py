@@ -31,14 +31,14 @@ from mcp.client.streamable_http import streamable_http_client
 
 import machine
 from measure import Timing, difference, ratio, timing_of
-from scene import ROOT, gates, worlds
+from scene import ROOT, gate_process, scenarios
 from serving import serving
 
 sys.path.append(str(ROOT / "tests"))
-from attesting import attesting
+from fixtures.estimator import attesting
 
-SERVER = ROOT / "tests" / "courier_server.py"
-BRIDGE = ROOT / "tests" / "rosbridge_server.py"
+SERVER = ROOT / "tests" / "programs" / "courier_mcp_server.py"
+BRIDGE = ROOT / "tests" / "programs" / "rosbridge_server.py"
 SCAN: tuple[str, dict[str, Any]] = ("scan", {})
 HIJACK: tuple[str, dict[str, Any]] = ("navigate_to", {"destination": "Isolation Room"})
 TOPICS: tuple[str, dict[str, Any]] = ("get_topics", {})
@@ -138,9 +138,18 @@ def started(*words: Any, says: str = "stdout") -> Iterator[str]:
             process.terminate()
 
 
-def gateway(gate: gates.RunningGate, *more: Any) -> list[Any]:
+def gateway(gate: gate_process.RunningGate, *more: Any) -> list[Any]:
     """Return the command of a gateway; what follows `--` is the server."""
-    words = [gates.AUTHGUARD, "mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+    words = [
+        gate_process.AUTHGUARD,
+        "mcp",
+        "--robot",
+        gate.rid,
+        "--run",
+        gate.run,
+        "--site",
+        gate.site,
+    ]
     return [*words, "--binding", gate.binding, "--trust", gate.trust, *more]
 
 
@@ -164,7 +173,7 @@ def toy(folder: Path, blocks: int, calls: int) -> dict[str, Timing]:
     token.write_text(TOKEN)
     token.chmod(0o600)
 
-    async def stdio(gate: gates.RunningGate) -> dict[str, Timing]:
+    async def stdio(gate: gate_process.RunningGate) -> dict[str, Timing]:
         server = (sys.executable, SERVER, noted)
         async with over_stdio(*server) as own, over_stdio(*gateway(gate, "--", *server)) as guarded:
             found = Calls(blocks, calls)
@@ -195,13 +204,13 @@ def toy(folder: Path, blocks: int, calls: int) -> dict[str, Timing]:
 
 def ros(folder: Path, environment: Path, blocks: int, calls: int) -> dict[str, Timing]:
     """Return the timings beside the real ros-mcp: what it answers itself, and what is refused."""
-    plain = yaml.safe_load((worlds.HOSPITAL / "site.yaml").read_text())
+    plain = yaml.safe_load((scenarios.HOSPITAL / "site.yaml").read_text())
     del plain["vocabulary"]
     site = folder / "site.yaml"
     site.write_text(yaml.safe_dump({**plain, "words": "standard"}))
     server = (environment / "bin" / "ros-mcp", "--transport", "stdio")
 
-    async def measured(gate: gates.RunningGate) -> dict[str, Timing]:
+    async def measured(gate: gate_process.RunningGate) -> dict[str, Timing]:
         async with AsyncExitStack() as stack:
             own = await stack.enter_async_context(over_stdio(*server))
             words = gateway(gate, "--", *server)
@@ -212,7 +221,7 @@ def ros(folder: Path, environment: Path, blocks: int, calls: int) -> dict[str, T
             return await found.timed()
 
     bridge = (environment / "bin" / "python", BRIDGE, folder / "arrived.jsonl")
-    made = gates.RunningGate(site=site, binding=Path("ros-mcp"))
+    made = gate_process.RunningGate(site=site, binding=Path("ros-mcp"))
     with started(*bridge), made as gate, attesting(gate):
         gate.activate()
         return asyncio.run(measured(gate))

@@ -35,11 +35,11 @@ from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.witness.desk import make_witness, register
 from authguard_r.witness.server import PATH
 from durable import MID, row_size
+from fixtures.witness_process import served
 from log_figures import TRIGGERS
 from log_growth import Writer
 from measure import Effort, Subject, Timing, interleave, timed
-from scene import PLANNER, bench, long_mission, worlds
-from witnessing import served
+from scene import PLANNER, bench, long_mission, scenarios
 from yardsticks import BareInsert
 
 _NAME = "benchmarks.example/witness"
@@ -91,8 +91,8 @@ def witness(folder: Path, effort: Effort) -> dict[str, Timing]:
     Nobody looks later at what came, and nothing waits for its turn: it is the exchange alone.
     """
     writer = Writer(folder / "witnessed.db")
-    signer = folder_signer(worlds.trust_folder(), gate_name(worlds.RID))
-    log = log_key(origin_of(worlds.RID), leaf_key(signer.chain))
+    signer = folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID))
+    log = log_key(origin_of(scenarios.RID), leaf_key(signer.chain))
     place = folder / "witness"
     made = make_witness(place, name=_NAME, algorithm=Algorithm.ED25519, mark=None)
     register(place, (log.text(),), int(time()), again=False)
@@ -101,7 +101,7 @@ def witness(folder: Path, effort: Effort) -> dict[str, Timing]:
         with served(place) as found:
             asking = _Asking(
                 writer,
-                Checkpoints(writer.ledger, robot=worlds.RID, signer=signer),
+                Checkpoints(writer.ledger, robot=scenarios.RID, signer=signer),
                 url=str(found.ready["url"]).removesuffix(PATH),
                 key=read_key(made.key, where="witness"),
             )
@@ -154,7 +154,7 @@ def replay(folder: Path, effort: Effort, decisions: int) -> dict[str, Timing]:
     rows = list(read_rows(path))
 
     def again() -> int:
-        made = Replay(read_trust(worlds.trust_folder()))
+        made = Replay(read_trust(scenarios.trust_folder()))
         start = perf_counter_ns()
         for row in rows:
             made.see(row)
@@ -233,9 +233,9 @@ def _added(writer: Writer, count: int) -> Callable[[], None]:
 
 def _delivered(path: Path) -> tuple[list[Row], int]:
     """Carry out the shipped delivery; return the log and the number of actions."""
-    sim = worlds.simulation(store=path)
+    sim = scenarios.simulation(store=path)
     try:
-        sim.gate.management.activate(worlds.token())
+        sim.gate.management.activate(scenarios.token())
         plan = normalize(_TASK, binder=sim.binder)
         context = ContextLedger(sim.binder.spellings())
         for step in plan.steps:

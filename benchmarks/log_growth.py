@@ -38,7 +38,7 @@ from authguard_r.sealing.kept import hold_policy
 from authguard_r.store.sqlite import open_store, read_rows
 from durable import MID, row_size
 from measure import Effort, Subject, Timing, interleave, timed
-from scene import Bench, bench, long_mission, worlds
+from scene import Bench, bench, long_mission, scenarios
 from yardsticks import BareInsert
 
 #: The log that a long one is held against.
@@ -83,8 +83,8 @@ class Writer:
         hold_policy(store, SealingPolicy(readers=readers))
         self.held: Bench = bench(store)
         self.ledger = self.held.gate.ledger
-        signer = folder_signer(worlds.trust_folder(), gate_name(worlds.RID))
-        self.notary = Notary(self.ledger, robot=worlds.RID, signer=signer)
+        signer = folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID))
+        self.notary = Notary(self.ledger, robot=scenarios.RID, signer=signer)
         self.held.gate.management.activate(long_mission(MID))
         (step,), evidence = self.held.steps()
         self.held.take_in()
@@ -163,7 +163,7 @@ def anchor_of(rows: Iterable[Row]) -> Anchor:
     """Return what an authentic checkpoint of exactly these rows says."""
     links = [row.link for row in rows]
     root = Frontier().grown(map(leaf_hash, links)).root()
-    made = Checkpoint(origin=origin_of(worlds.RID), size=len(links), root=root, chain=links[-1])
+    made = Checkpoint(origin=origin_of(scenarios.RID), size=len(links), root=root, chain=links[-1])
     return of_checkpoint(made)
 
 

@@ -26,7 +26,7 @@ from authguard_r.normalize.labels import label_fields
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from measure import Effort, Subject, Timing, interleave, timed
-from scene import GRANT, HIJACKED, Scene, bench, long_mission, reply, scene, worlds
+from scene import GRANT, HIJACKED, Scene, bench, long_mission, reply, scenarios, scene
 from yardsticks import BiscuitGate, Cedar, Signatures, cedar_five, values
 
 
@@ -88,8 +88,8 @@ def tokens(effort: Effort) -> dict[str, Timing]:
     is a token of somebody whose certificates were walked before; `token.kept` is the mission that
     the gate holds already.
     """
-    token = worlds.token()
-    known, fresh = read_trust(worlds.trust_folder()), _Fresh()
+    token = scenarios.token()
+    known, fresh = read_trust(scenarios.trust_folder()), _Fresh()
     bare = Signatures(token, known)
     biscuit = BiscuitGate(scene())
     held = bench(MemoryStore(), trust=known)
@@ -119,8 +119,8 @@ def parts(effort: Effort) -> dict[str, Timing]:
     refused, _, _ = here.judge(reply(HIJACKED))
     evidence = normalize(good, binder=here.binder).evidence
     bound = normalize(good, binder=here.binder).steps[0].action
-    safety = EnvelopeGate(default_config(worlds.site(), worlds.RID))
-    trust, fresh = read_trust(worlds.trust_folder()), _Fresh()
+    safety = EnvelopeGate(default_config(scenarios.site(), scenarios.RID))
+    trust, fresh = read_trust(scenarios.trust_folder()), _Fresh()
     approval = _approval(here)
     subjects = [
         Subject("T_N.normalize", timed(lambda: normalize(good, binder=here.binder))),
@@ -162,12 +162,12 @@ class _Fresh:
     def renew(self) -> None:
         """Take the next one, so that reading files just before does not empty the caches."""
         if not self._ready:
-            self._ready = [read_trust(worlds.trust_folder()) for _ in range(self.AHEAD)]
+            self._ready = [read_trust(scenarios.trust_folder()) for _ in range(self.AHEAD)]
         self.trust = self._ready.pop()
 
 
 def _verify(token: bytes, trust: Trust) -> VerifiedMission:
-    return verify_mission(token, verifier=trust, now=worlds.NOW, roles=ISSUER_ROLES)
+    return verify_mission(token, verifier=trust, now=scenarios.NOW, roles=ISSUER_ROLES)
 
 
 def _open(approval: bytes, trust: Trust, here: Scene) -> VerifiedApproval:
@@ -210,6 +210,6 @@ def _approval(here: Scene) -> bytes:
         required=2,
         expires_ms=here.now.utc_ms + 60_000,
     )
-    said = answer(here.verified, GrantId(GRANT), request, rid=worlds.RID, verdict=Answer.APPROVE)
-    signer = worlds.folder_signer(worlds.trust_folder(), "supervisor-1")
+    said = answer(here.verified, GrantId(GRANT), request, rid=scenarios.RID, verdict=Answer.APPROVE)
+    signer = scenarios.folder_signer(scenarios.trust_folder(), "supervisor-1")
     return sign_object(said, Tag.APPROVAL, signer)

@@ -18,7 +18,7 @@ from time import monotonic
 from typing import Any, NamedTuple
 
 from measure import Timing, percentile, timing_of
-from scene import gates
+from scene import gate_process
 from serving import serving
 
 _OFFER = Path(__file__).resolve().parent / "offer.py"
@@ -107,13 +107,13 @@ def overload(folder: Path, load: Load, **bounds: Any) -> Overloaded:
     )
 
 
-def _capacity(gate: gates.RunningGate, seconds: float) -> float:
+def _capacity(gate: gate_process.RunningGate, seconds: float) -> float:
     """Return how many refused proposals a second four clients get answered, closed loop."""
     said = _offer([_words(gate, "closed", n, 0, seconds) for n in range(FLOODERS)])
     return sum(one["answered"] for one in said) / seconds
 
 
-def _round(gate: gates.RunningGate, seconds: float, flood_rate: float) -> _Round:
+def _round(gate: gate_process.RunningGate, seconds: float, flood_rate: float) -> _Round:
     """Run benign work, then stops, each beside the flood; return what each client said."""
     told: dict[str, Any] = {"flood": Counter()}
     for kind, rate in (("benign", BENIGN_RATE), ("stops", STOP_RATE)):
@@ -129,7 +129,9 @@ def _round(gate: gates.RunningGate, seconds: float, flood_rate: float) -> _Round
     return told
 
 
-def _words(gate: gates.RunningGate, kind: str, n: int, rate: float, seconds: float) -> list[str]:
+def _words(
+    gate: gate_process.RunningGate, kind: str, n: int, rate: float, seconds: float
+) -> list[str]:
     path = gate.stop_socket if kind == "stops" else gate.socket
     return [kind, str(path), f"{kind}-{n}", str(rate), str(seconds)]
 
@@ -169,9 +171,9 @@ def _say(process: subprocess.Popen[str], text: str) -> None:
         process.stdin.flush()
 
 
-def _log(gate: gates.RunningGate) -> dict[str, int]:
+def _log(gate: gate_process.RunningGate) -> dict[str, int]:
     """Return how much the gate has written so far."""
-    with gate.client(gates.ClientRole.AUDITOR, "looks") as auditor:
+    with gate.client(gate_process.ClientRole.AUDITOR, "looks") as auditor:
         records = auditor.status()["log"]["size"]
     lines = dict(line.split(": ") for line in Path(f"/proc/{gate.pid}/io").read_text().splitlines())
     return {"records": records, "written_bytes": int(lines["write_bytes"])}

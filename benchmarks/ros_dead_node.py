@@ -32,7 +32,7 @@ from geometry_msgs.msg import Twist  # noqa: E402
 from test_msgs.action import Fibonacci  # noqa: E402
 
 import machine  # noqa: E402
-from gates import until  # noqa: E402
+from fixtures.gate_process import until  # noqa: E402
 from ros.deployed import FAULTS, TRANSPORT, guarded  # noqa: E402
 from ros.graph import Goal, Stick  # noqa: E402
 from ros.hospital import hospital  # noqa: E402

@@ -24,7 +24,7 @@ from typing import Any
 import machine
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from ros_stopping import Driving, Robot
+from fixtures.ros_processes import Driving, Robot
 
 #: Told to a base with the events of DDS, and to one with its own watch alone.
 FAULTS = {

@@ -44,8 +44,8 @@ from std_srvs.srv import Empty, Trigger  # noqa: E402
 from test_msgs.action import Fibonacci  # noqa: E402
 
 import machine  # noqa: E402
-from gates import RunningGate, until  # noqa: E402
-from robots import gate_of  # noqa: E402
+from fixtures.gate_process import RunningGate, until  # noqa: E402
+from fixtures.packaged_robots import gate_of  # noqa: E402
 from ros.graph import Graph, graph_of  # noqa: E402
 from ros.hospital import BRAKES, BUDGETS, GRANTS, HERE, TOOLS  # noqa: E402
 

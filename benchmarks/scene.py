@@ -19,8 +19,6 @@ import msgspec
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT / "tests"))
 
-import gates  # noqa: E402, F401 - the tests' harness and builder lie beside the package
-import worlds  # noqa: E402
 from authguard_r.assembly import Gate, assemble, folder_signer, gate_name  # noqa: E402
 from authguard_r.core.action import Action, ActionMeta  # noqa: E402
 from authguard_r.core.decide import decide  # noqa: E402
@@ -41,6 +39,7 @@ from authguard_r.normalize.context import ContextLedger  # noqa: E402
 from authguard_r.normalize.labels import label_fields  # noqa: E402
 from authguard_r.safety import EnvelopeGate, default_config  # noqa: E402
 from authguard_r.sim.robot import snapshot_of  # noqa: E402
+from fixtures import gate_process, scenarios  # noqa: E402, F401 - the tests' fixtures
 
 PLANNER = "planner"
 GRANT = "go-to-101"
@@ -105,9 +104,9 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
 
 def scene() -> Scene:
     """Return the shipped mission after its package was picked up."""
-    verified = worlds.verified()
+    verified = scenarios.verified()
     standing = msgspec.structs.replace(
-        worlds.active(verified),
+        scenarios.active(verified),
         uses={
             "go-to-pharmacy": Use(starts=1, successes=1, last_success=1),
             "pick-p1": Use(starts=1, successes=1, last_success=2),
@@ -115,21 +114,21 @@ def scene() -> Scene:
         order=2,
         actions=2,
         spent=Spend(motion_ms=40_000),
-        releases=(worlds.NOW.mono_ms - 8_000, worlds.NOW.mono_ms - 4_000),
+        releases=(scenarios.NOW.mono_ms - 8_000, scenarios.NOW.mono_ms - 4_000),
     )
     return Scene(
         verified=verified,
         standing=standing,
-        state=worlds.state("pharmacy", "package-p1"),
-        facts=worlds.facts(),
-        now=worlds.NOW,
-        binder=Binder(worlds.site(), worlds.binding()),
+        state=scenarios.state("pharmacy", "package-p1"),
+        facts=scenarios.facts(),
+        now=scenarios.NOW,
+        binder=Binder(scenarios.site(), scenarios.binding()),
     )
 
 
 def long_mission(mid: str) -> bytes:
     """Return a token of the shipped mission that lets its delivery be repeated for two days."""
-    plain: dict[str, Any] = worlds.draft(
+    plain: dict[str, Any] = scenarios.draft(
         mission=mid,
         window={"for": "2 days"},
         budgets={
@@ -145,7 +144,7 @@ def long_mission(mid: str) -> bytes:
     for grant in plain["grants"]:
         if grant["id"] == GRANT:
             grant.update(repeat=PLENTY, starts=PLENTY, after=[])
-    return worlds.token(worlds.mission(**plain))
+    return scenarios.token(scenarios.mission(**plain))
 
 
 class Machine:
@@ -156,12 +155,12 @@ class Machine:
     """
 
     def __init__(self) -> None:
-        self._utc_base = worlds.START_MS - time.time_ns() // 1_000_000
+        self._utc_base = scenarios.START_MS - time.time_ns() // 1_000_000
         self._mono_base = time.monotonic_ns() // 1_000_000
         self._jumped_ms = 0
         self._seq = 0
-        self._world = worlds.world("pharmacy", "package-p1")
-        self._estimator = folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
+        self._world = scenarios.world("pharmacy", "package-p1")
+        self._estimator = folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
         self._token: bytes | None = None
         self.dispatched_ns = 0
         self.dispatches = 0
@@ -179,7 +178,7 @@ class Machine:
         """Let time pass and sign a new snapshot."""
         self._jumped_ms += pause_ms
         self._seq += 1
-        snapshot = snapshot_of(self._world, robot=worlds.RID, epoch=1, seq=self._seq)
+        snapshot = snapshot_of(self._world, robot=scenarios.RID, epoch=1, seq=self._seq)
         self._token = sign_object(snapshot, Tag.STATE, self._estimator)
 
     def latest(self) -> bytes | None:
@@ -228,12 +227,12 @@ class Bench(msgspec.Struct, frozen=True):
 def bench(store: Store, *, trust: Any = None) -> Bench:
     """Return a gate over the store, its machine and a binder; no mission is active yet."""
     machine = Machine()
-    signer = folder_signer(worlds.trust_folder(), gate_name(worlds.RID))
+    signer = folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID))
     gate = assemble(
-        trust=trust or read_trust(worlds.trust_folder()),
+        trust=trust or read_trust(scenarios.trust_folder()),
         chain=signer.chain,
-        site=worlds.site(),
-        safety=EnvelopeGate(default_config(worlds.site(), worlds.RID)),
+        site=scenarios.site(),
+        safety=EnvelopeGate(default_config(scenarios.site(), scenarios.RID)),
         controller=machine,
         source=machine,
         clock=machine,
@@ -241,7 +240,7 @@ def bench(store: Store, *, trust: Any = None) -> Bench:
         genesis={},
         demo=True,
     )
-    binder = Binder(worlds.site(), worlds.binding())
+    binder = Binder(scenarios.site(), scenarios.binding())
     return Bench(gate, machine, binder, ContextLedger(binder.spellings()))
 
 
@@ -254,7 +253,7 @@ def command(bench_: Bench, mid: str, digest: Digest, verb: str) -> bytes:
         mid=MissionId(mid),
         version=1,
         mission=digest,
-        nonce=b64(worlds.random_bytes(16)),
+        nonce=b64(scenarios.random_bytes(16)),
         expires_ms=bench_.gate.ledger.now().utc_ms + 60_000,
     )
-    return sign_object(order, Tag.COMMAND, folder_signer(worlds.trust_folder(), "operator-1"))
+    return sign_object(order, Tag.COMMAND, folder_signer(scenarios.trust_folder(), "operator-1"))

@@ -18,7 +18,7 @@ from authguard_r.compile.draft import Draft
 from authguard_r.core.encoding import b64
 from authguard_r.core.quantities import Now
 from authguard_r.site.source import convert
-from scene import PLENTY, gates, worlds
+from scene import PLENTY, gate_process, scenarios
 
 _SCAN, _WAIT = "look-out", "stay"
 
@@ -28,7 +28,7 @@ def busy_draft(mid: str) -> dict[str, Any]:
 
     The rate is counted over one second, so that what is remembered of it stays short.
     """
-    plain: dict[str, Any] = worlds.draft(
+    plain: dict[str, Any] = scenarios.draft(
         mission=mid,
         window={"for": "2 days"},
         budgets={
@@ -68,14 +68,16 @@ def busy_mission(mid: str) -> bytes:
     """
     now = Now(time_ns() // 1_000_000 - 60_000, 0)
     drafted = convert(busy_draft(mid), Draft, where=mid)
-    mission = compile_draft(drafted, worlds.site(), now=now, nonce=b64(worlds.random_bytes(16)))
-    return worlds.token(mission)
+    mission = compile_draft(
+        drafted, scenarios.site(), now=now, nonce=b64(scenarios.random_bytes(16))
+    )
+    return scenarios.token(mission)
 
 
 @contextmanager
-def serving(folder: Path, name: str, **options: Any) -> Iterator[gates.RunningGate]:
+def serving(folder: Path, name: str, **options: Any) -> Iterator[gate_process.RunningGate]:
     """Have a gate run with the busy mission, its store in the folder; options as the tests' own."""
-    gate = gates.RunningGate(**options)
+    gate = gate_process.RunningGate(**options)
     gate.store = folder / f"{name}.db"
     with gate:
         gate.activate(busy_mission(name))

@@ -21,7 +21,7 @@ from authguard_r.core.mission import Guard, Mission, Row
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.setup import init_folder
-from scene import worlds
+from scene import scenarios
 
 #: What signs, by name; two algorithms are a hybrid, both of which have to hold.
 CHOICES: dict[str, tuple[Algorithm, ...]] = {
@@ -35,7 +35,7 @@ _COUNTS = (1, 10, 100)
 
 def token_sizes(folder: Path) -> list[dict[str, Any]]:
     """Return one row for each signature choice over the shipped mission."""
-    return [_row(name, worlds.mission(), _signer(folder, name)) for name in CHOICES]
+    return [_row(name, scenarios.mission(), _signer(folder, name)) for name in CHOICES]
 
 
 def mission_sizes(folder: Path) -> list[dict[str, Any]]:
@@ -72,14 +72,14 @@ def _signer(folder: Path, name: str) -> Any:
     """Return an operator's signer of a set-up that signs so."""
     trust = folder / f"trust-{name}"
     if not trust.exists():
-        members = demo_members(worlds.site(), ())
+        members = demo_members(scenarios.site(), ())
         init_folder(trust, members, now=datetime.now(UTC), algorithms=CHOICES[name])
     return folder_signer(trust, "operator-1")
 
 
 def _missions() -> list[tuple[str, Mission]]:
     """Return missions that grow in one way each; ids as people choose them, then bare numbers."""
-    plain = worlds.mission()
+    plain = scenarios.mission()
     made: list[tuple[str, Mission]] = []
     for ids, prefix in (("readable", "medicine-package-"), ("numeric", "")):
         for count in _COUNTS:

@@ -18,7 +18,7 @@ from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import Kind
 from line import SECOND, Line
-from scene import gates
+from scene import gate_process
 from serving import serving
 
 #: Actions that the growth of the log is foretold from.
@@ -45,7 +45,7 @@ def soak(folder: Path, actions: int) -> dict[str, Any]:
             if number % step == 0 or number in {FORETELL, WARM_UP, actions}:
                 samples.append(_sample(gate, number, start))
         line.close()
-        with gate.client(gates.ClientRole.AUDITOR, "looks") as auditor:
+        with gate.client(gate_process.ClientRole.AUDITOR, "looks") as auditor:
             simulated_s = auditor.status()["uptime_ms"] / 1_000
         gate.stop_process("gate")
         log = _log(gate.store, actions)
@@ -71,7 +71,7 @@ def _carry_out(line: Line) -> None:
         return
 
 
-def _sample(gate: gates.RunningGate, actions: int, start: float) -> dict[str, Any]:
+def _sample(gate: gate_process.RunningGate, actions: int, start: float) -> dict[str, Any]:
     beside = gate.store.with_name(f"{gate.store.name}-wal")
     return {
         "actions": actions,

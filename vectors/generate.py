@@ -27,7 +27,7 @@ from making import (
     tokens,
 )
 
-import streams
+from fixtures import frame_streams
 
 Json = dict[str, Any]
 
@@ -37,7 +37,7 @@ def main(folder: Path) -> None:
     write(folder / "approval.json", approval.approval_vectors())
     write(folder / "certificate.json", certificate.certificate_vectors())
     write(folder / "encoding.json", encoding.encoding_vectors())
-    write(folder / "frames.json", streams.every())
+    write(folder / "frames.json", frame_streams.every())
     write(folder / "gate.json", gate.gate_vectors())
     write(folder / "normalize.json", normalizing.normalize_vectors())
     write(folder / "revocation.json", revocation.revocation_vectors())

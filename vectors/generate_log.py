@@ -35,7 +35,7 @@ from authguard_r.audit.verify import Row  # noqa: E402
 from authguard_r.cli.exported import note_line, row_line  # noqa: E402
 from authguard_r.core.identifiers import RobotId  # noqa: E402
 from authguard_r.keys.notes import cosign, log_key, witness_key  # noqa: E402
-from logs import ROBOT, checkpoint_of, edited, log_of, rechained  # noqa: E402
+from fixtures.small_logs import ROBOT, checkpoint_of, edited, log_of, rechained  # noqa: E402
 
 Json = dict[str, Any]
 #: Leaves of the test data of Certificate Transparency.

@@ -46,7 +46,7 @@ from authguard_r.core.errors import AuthGuardError  # noqa: E402
 from authguard_r.keys.readers import ReaderKey  # noqa: E402
 from authguard_r.sealing import KeyRing  # noqa: E402
 from authguard_r.sealing.wraps import Wrapped, WrappedFor  # noqa: E402
-from logs import ROBOT, START_MS, Pages  # noqa: E402
+from fixtures.small_logs import ROBOT, START_MS, Pages  # noqa: E402
 
 Json = dict[str, Any]
 #: Number of the record that tells the keys.

@@ -4,10 +4,47 @@
 from typing import Any
 
 from authguard_reference.place import guards_findings, place_of, pose_of, reading_of, unfit
+from authguard_reference.policy import instant_ms
 from authguard_reference.reasons import in_order
 from authguard_reference.standing import STATUS_REFUSAL
 
 Json = dict[str, Any]
+
+
+def permit(
+    mission: Json, digest: str, grant: Json, row: Json, action: Json, *, facts: Json, now: Json
+) -> Json:
+    """Put the lease of a release together.
+
+    Args:
+        mission: The mission.
+        digest: The mission's digest.
+        grant: The matched grant.
+        row: Its matched row.
+        action: The normalized action.
+        facts: The facts of the site and the robot.
+        now: The two clocks of the release.
+
+    Returns:
+        The lease, as `still` reads it.
+    """
+    kinds = facts["vocabulary"][action["type"]]["params"]
+    bounds: list[Json] = []
+    for parameter, value in action.get("params", {}).items():
+        variable = kinds.get(parameter, {}).get("monitored_by")
+        if variable is not None:
+            bounds.append({"variable": variable, "high": value})
+    return {
+        "mid": mission["mid"],
+        "version": mission["version"],
+        "digest": digest,
+        "until_utc_ms": instant_ms(mission["expiry"]),
+        "until_mono_ms": now["mono_ms"] + grant["max_ms"],
+        "regions": row.get("regions", []),
+        "bounds": bounds,
+        "guards": [*mission.get("guards", []), *grant.get("guards", [])],
+        "max_age_ms": mission.get("place_max_age_ms", 0),
+    }
 
 
 def still(

@@ -200,7 +200,7 @@ def is_within(point: Point, polygon: Polygon, margin: int) -> bool:
     return winding_number(point, sides) != 0
 
 
-def squared_distance(point: Point, start: Point, end: Point) -> Fraction:
+def squared_distance(point: Point, start: Point, end: Point) -> Fraction | int:
     """Compute the squared distance from a point to a segment, exactly.
 
     Args:
@@ -214,13 +214,14 @@ def squared_distance(point: Point, start: Point, end: Point) -> Fraction:
     along = (end[0] - start[0], end[1] - start[1])
     to_point = (point[0] - start[0], point[1] - start[1])
     length_squared = along[0] * along[0] + along[1] * along[1]
-    share = Fraction(0)
-    if length_squared > 0:
-        dot = to_point[0] * along[0] + to_point[1] * along[1]
-        share = min(Fraction(1), max(Fraction(0), Fraction(dot, length_squared)))
-    dx = to_point[0] - share * along[0]
-    dy = to_point[1] - share * along[1]
-    return dx * dx + dy * dy
+    dot = to_point[0] * along[0] + to_point[1] * along[1]
+    if dot <= 0:  # before the start, or there is no length
+        return to_point[0] * to_point[0] + to_point[1] * to_point[1]
+    if dot >= length_squared:  # behind the end
+        from_end = (point[0] - end[0], point[1] - end[1])
+        return from_end[0] * from_end[0] + from_end[1] * from_end[1]
+    cross = along[0] * to_point[1] - along[1] * to_point[0]
+    return Fraction(cross * cross, length_squared)
 
 
 def winding_number(point: Point, sides: list[tuple[Point, Point]]) -> int:

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
+from fixtures import scenarios
 
 DECISION = {
     "outcome",
@@ -62,9 +62,9 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for name in (worlds.OTHER,):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for name in (scenarios.OTHER,):
         for path in (tmp_path / "trust" / "keys").glob(f"*{name}*"):
             path.unlink()
     return Shell(tmp_path, capsys, monkeypatch)
@@ -431,7 +431,7 @@ ACT = {
 
 
 def state() -> str:
-    return json.dumps(json.loads(__import__("msgspec").json.encode(worlds.state().snapshot)))
+    return json.dumps(json.loads(__import__("msgspec").json.encode(scenarios.state().snapshot)))
 
 
 def test_a_what_if_decides_and_uses_nothing(shell: Shell, token: str) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.anchoring.outside import BY_COUNTER, BY_STORE, SAID, Why
 from authguard_r.audit.record import read_record
 from authguard_r.cli.attend import status_lines
@@ -27,7 +26,8 @@ from cli.test_gate_commands import (
 )
 from cli.test_gate_commands import shell as shell  # noqa: PLC0414 - a fixture
 from cli.test_gate_commands import token as token  # noqa: PLC0414 - a fixture
-from scripted import listening
+from fixtures import scenarios
+from fixtures.scripted_peer import listening
 
 COUNTER = ["--counter", "other/counter"]
 PLAN = ["--binding", "h/binding.yaml", "--plan", "h/replies/06-wrong-package.json"]
@@ -98,14 +98,14 @@ def test_a_store_that_really_was_put_back_is_still_recorded(shell: Shell, counte
 
 
 def gate_words(config: str, *more: str) -> tuple[str, ...]:
-    on = ("--demo", "--simulate", "--robot", worlds.RID, "--trust", "trust", "--run", "run")
+    on = ("--demo", "--simulate", "--robot", scenarios.RID, "--trust", "trust", "--run", "run")
     return ("gate", *on, *SITE, "--binding", "h/binding.yaml", "--config", config, *more)
 
 
 def test_no_gate_starts_whose_counter_would_take_the_stores_place(
     shell: Shell, counted: str
 ) -> None:
-    store, key = Path("r.db").read_bytes(), f"trust/keys/gate-{worlds.RID}.key.pem"
+    store, key = Path("r.db").read_bytes(), f"trust/keys/gate-{scenarios.RID}.key.pem"
     config = gate_config(shell)
     secret = Path(key).read_bytes()
     for other in ("r.db", "run/../r.db", "r.db-wal", key, config):

@@ -13,8 +13,6 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-import emergencies
-import worlds
 from authguard_r.approvals.organization import OrganizationPolicy, open_policy
 from authguard_r.assembly import folder_signer, offline_gate
 from authguard_r.cli import call
@@ -28,6 +26,7 @@ from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import profile_digest
 from authguard_r.site.source import read_text
+from fixtures import emergency_policies, scenarios
 from unit.gate.robots import ME, config, peers, robot
 
 LEVELS = {"ok", "warning", "unsafe"}
@@ -52,13 +51,13 @@ def codes(told: dict[str, Any], level: str) -> set[str]:
 def demo(tmp_path: Path, monkeypatch: Any) -> list[str]:
     """A whole set-up in one folder, as the first hour makes it."""
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.trust_folder(), "trust")
+    shutil.copytree(scenarios.trust_folder(), "trust")
     Path("run").mkdir()
     signer = folder_signer(Path("trust"), "site-authority-1")
     Path("gate.token").write_bytes(sign_object(config(), Tag.GATE, signer))
     return [
-        *("--trust", "trust", "--site", str(worlds.HOSPITAL / "site.yaml")),
-        *("--binding", str(worlds.HOSPITAL / "binding.yaml"), "--store", "robot.db"),
+        *("--trust", "trust", "--site", str(scenarios.HOSPITAL / "site.yaml")),
+        *("--binding", str(scenarios.HOSPITAL / "binding.yaml"), "--store", "robot.db"),
         *("--run", "run", "--config", "gate.token", "--key", "trust/keys/gate-courier-1.key.pem"),
         *("--cert", "trust/keys/gate-courier-1.cert.pem"),
     ]
@@ -203,7 +202,7 @@ def risk_policy(**changes: Any) -> OrganizationPolicy:
         "organization": "hospital",
         "version": 2,
         "issued": days(-1),
-        "policy": replace(worlds.mission().risk_policy, tau_1=10, tau_2=60),
+        "policy": replace(scenarios.mission().risk_policy, tau_1=10, tau_2=60),
         **changes,
     }
     return msgspec.convert(plain, OrganizationPolicy)
@@ -220,7 +219,7 @@ def write_risk(
 @pytest.fixture
 def marked(demo: list[str]) -> list[str]:
     """The set-up at a site that marks where it is safe."""
-    text = read_text(worlds.HOSPITAL / "site.yaml") + "emergency: {places: {dock: charging}}\n"
+    text = read_text(scenarios.HOSPITAL / "site.yaml") + "emergency: {places: {dock: charging}}\n"
     Path("site.yaml").write_text(text)
     return option(demo, "--site", "site.yaml")
 
@@ -233,10 +232,12 @@ def write_emergency(
 ) -> str:
     here = load_site(Path("site.yaml"))
     dates = {"not_before": days(-2), "expiry": days(90)}
-    value = emergencies.policy(
-        *(capabilities or (emergencies.GO_SAFE, emergencies.CALL)), at=here, **{**dates, **changes}
+    value = emergency_policies.policy(
+        *(capabilities or (emergency_policies.GO_SAFE, emergency_policies.CALL)),
+        at=here,
+        **{**dates, **changes},
     )
-    Path("emergency.token").write_bytes(emergencies.token(value, by=by, folder=Path(folder)))
+    Path("emergency.token").write_bytes(emergency_policies.token(value, by=by, folder=Path(folder)))
     return "emergency.token"
 
 
@@ -276,8 +277,8 @@ def test_a_folder_is_looked_through_for_the_policies_of_the_how_tos(
     [
         ({"by": "operator-1"}, "ROLE_DENIED"),
         ({"by": "supervisor-1"}, "ROLE_DENIED"),
-        ({"folder": emergencies.trust_folder()}, "CERTIFICATE_INVALID"),
-        ({"policy": replace(worlds.mission().risk_policy, tau_1=9, tau_2=8)}, "SCHEMA_INVALID"),
+        ({"folder": emergency_policies.trust_folder()}, "CERTIFICATE_INVALID"),
+        ({"policy": replace(scenarios.mission().risk_policy, tau_1=9, tau_2=8)}, "SCHEMA_INVALID"),
     ],
 )
 def test_a_risk_policy_that_the_gate_would_refuse_is_unsafe(
@@ -296,8 +297,8 @@ def test_a_risk_policy_that_the_gate_would_refuse_is_unsafe(
     [
         ({"by": "operator-1"}, "ROLE_DENIED"),
         ({"by": "site-authority-1"}, "ROLE_DENIED"),
-        ({"folder": emergencies.trust_folder()}, "CERTIFICATE_INVALID"),
-        ({"robot": worlds.OTHER}, "ROBOT_MISMATCH"),
+        ({"folder": emergency_policies.trust_folder()}, "CERTIFICATE_INVALID"),
+        ({"robot": scenarios.OTHER}, "ROBOT_MISMATCH"),
         ({"site": "A" * 43}, "SITE_MISMATCH"),
         ({"profile": "A" * 43}, "PROFILE_MISMATCH"),
         ({"expiry": -1}, "EXPIRED"),
@@ -320,7 +321,7 @@ def test_an_emergency_policy_that_the_gate_would_refuse_is_unsafe(
 def test_an_emergency_policy_that_is_not_narrow_is_unsafe(
     marked: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    token = write_emergency({**emergencies.GO_SAFE, "destination": "office-1"})
+    token = write_emergency({**emergency_policies.GO_SAFE, "destination": "office-1"})
     code, told = doctor(capsys, *marked, "--emergency-policy", token)
     ((level, message),) = of("emergency policy", told)
     assert (code, level) == (5, "unsafe")
@@ -398,7 +399,7 @@ def seen(**changes: Any) -> None:
     trust = read_trust(Path("trust"))
     data = Path(write_risk(**changes)).read_bytes()
     policy = open_policy(data, verifier=trust, now=wall_now(None))
-    gate = offline_gate(Path("trust"), worlds.site(), rid=worlds.RID, store=Path("robot.db"))
+    gate = offline_gate(Path("trust"), scenarios.site(), rid=scenarios.RID, store=Path("robot.db"))
     gate.management.hold_policy(policy)
     gate.close()
 
@@ -454,8 +455,8 @@ def test_a_store_that_cannot_be_read_says_so_once(
 def test_without_a_configuration_the_certificate_says_whose_policy_it_must_be(
     marked: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lifter = profile_digest(load_site(Path("site.yaml")).robots[worlds.OTHER].profile)
-    token = write_emergency(emergencies.CALL, robot=worlds.OTHER, profile=lifter)
+    lifter = profile_digest(load_site(Path("site.yaml")).robots[scenarios.OTHER].profile)
+    token = write_emergency(emergency_policies.CALL, robot=scenarios.OTHER, profile=lifter)
     words = ("--trust", "trust", "--site", "site.yaml", "--emergency-policy", token)
     for cert, levels in (
         (("--cert", "trust/keys/gate-courier-1.cert.pem"), "unsafe"),

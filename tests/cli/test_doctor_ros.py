@@ -19,8 +19,8 @@ from authguard_r.cli import call, ros
 from authguard_r.cli.doctor_ros import rmw_advice
 from authguard_r.gate.checkup.advice import Level
 from authguard_r.ros.keystore import KEY, PRIVATE
-from keystores import EXAMPLE, home, plain_map, resign
-from worlds import ROOT
+from fixtures.ros_keystores import EXAMPLE, home, plain_map, resign
+from fixtures.scenarios import ROOT
 
 SITE = ROOT / "examples" / "ros" / "site.yaml"
 BINDING = ROOT / "examples" / "ros" / "binding.yaml"

@@ -13,16 +13,16 @@ import pytest
 import yaml
 from pytest_httpserver import HTTPServer
 
-import worlds
 from authguard_r import cli
 from authguard_r.cli.ask import confirm_shown, prompt
 from authguard_r.compile.answers import compile_plain
 from authguard_r.core.errors import ClarificationError
 from authguard_r.core.identifiers import Timestamp
 from authguard_r.core.quantities import Now, to_ms
+from fixtures import scenarios
 
 NOW = "2026-01-01T10:00:00Z"
-SITE = str(worlds.HOSPITAL / "site.yaml")
+SITE = str(scenarios.HOSPITAL / "site.yaml")
 DELIVER = "Deliver P1 to station 101 within 25 minutes"
 GIVEN = ("--robot", "courier-1", "--issuer", "operator-1")
 
@@ -52,7 +52,7 @@ def console(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
 
 def compiles(plain: object) -> Any:
     at = Now(to_ms(Timestamp(NOW), where="now"), 0)
-    return compile_plain(plain, worlds.site(), now=at, nonce="A" * 22)
+    return compile_plain(plain, scenarios.site(), now=at, nonce="A" * 22)
 
 
 def test_the_printed_draft_is_yaml_that_the_compiler_takes(console: Console) -> None:
@@ -222,7 +222,7 @@ def test_no_input_never_asks_and_end_of_input_stops(console: Console) -> None:
 
 def test_a_profile_of_ones_own_is_strict(console: Console, tmp_path: Path) -> None:
     own = tmp_path / "own.yaml"
-    shipped = Path(worlds.ROOT / "src/authguard_r/drafting/defaults.yaml").read_text()
+    shipped = Path(scenarios.ROOT / "src/authguard_r/drafting/defaults.yaml").read_text()
     own.write_text(shipped.replace("force_mn: [1 N, 15 N]", "force_mn: [1 N, 12 N]"))
     code, out, _ = console(DELIVER, *GIVEN, "--profile", str(own), "--json")
     assert code == 0

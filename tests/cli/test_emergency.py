@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import main
 from authguard_r.site.source import read_text
+from fixtures import scenarios
 
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
     path = tmp_path / "site.yaml"
-    marked = read_text(worlds.HOSPITAL / "site.yaml") + "emergency: {places: {dock: charging}}\n"
+    marked = read_text(scenarios.HOSPITAL / "site.yaml") + "emergency: {places: {dock: charging}}\n"
     path.write_text(marked)
     return path
 
@@ -33,12 +33,12 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, dict[s
 def test_the_shipped_policy_is_sound_at_the_marked_site_alone(
     site: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shipped = worlds.HOSPITAL / "emergency.yaml"
+    shipped = scenarios.HOSPITAL / "emergency.yaml"
     assert run(capsys, "emergency", "policy", "lint", shipped, "--site", site) == (
         0,
         {"findings": []},
     )
-    plain = worlds.HOSPITAL / "site.yaml"
+    plain = scenarios.HOSPITAL / "site.yaml"
     code, told = run(capsys, "emergency", "policy", "lint", shipped, "--site", plain)
     assert code == 1
     assert [found["where"] for found in told["findings"]] == [
@@ -52,10 +52,10 @@ def test_what_make_writes_can_be_signed_and_shown(
     made, token = tmp_path / "made.yaml", tmp_path / "made.token"
     at = ("--site", site)
     assert (
-        run(capsys, "emergency", "policy", "make", *at, "--robot", worlds.RID, "--out", made)[0]
+        run(capsys, "emergency", "policy", "make", *at, "--robot", scenarios.RID, "--out", made)[0]
         == 0
     )
-    keys = ("--trust", worlds.trust_folder())
+    keys = ("--trust", scenarios.trust_folder())
     code, signed = run(
         capsys, "emergency", "policy", "sign", made, *at, *keys, "--yes", "--out", token
     )
@@ -88,9 +88,9 @@ def test_one_thing_that_is_wrong_is_not_signed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = tmp_path / "policy.yaml"
-    file.write_text(read_text(worlds.HOSPITAL / "emergency.yaml").replace(old, new))
+    file.write_text(read_text(scenarios.HOSPITAL / "emergency.yaml").replace(old, new))
     token = tmp_path / "policy.token"
-    words = ("--site", site, "--trust", worlds.trust_folder(), "--yes", "--out", token)
+    words = ("--site", site, "--trust", scenarios.trust_folder(), "--yes", "--out", token)
     assert run(capsys, "emergency", "policy", "sign", file, *words)[0] == code
     assert not token.exists()
 
@@ -98,11 +98,11 @@ def test_one_thing_that_is_wrong_is_not_signed(
 def test_another_roles_key_signs_nothing(
     site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    name = worlds.trust_folder() / "keys" / "operator-1"
+    name = scenarios.trust_folder() / "keys" / "operator-1"
     key = ("--key", f"{name}.key.pem", "--cert", f"{name}.cert.pem")
     token = tmp_path / "policy.token"
-    words = ("--site", site, "--trust", worlds.trust_folder(), "--yes", "--out", token)
-    shipped = worlds.HOSPITAL / "emergency.yaml"
+    words = ("--site", site, "--trust", scenarios.trust_folder(), "--yes", "--out", token)
+    shipped = scenarios.HOSPITAL / "emergency.yaml"
     code, told = run(capsys, "emergency", "policy", "sign", shipped, *words, *key)
     assert (code, told["error"]["code"]) == (1, "ROLE_DENIED")
     assert not token.exists()

@@ -13,15 +13,15 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode
 from authguard_r.frost.messages import Contribution, Offer, Share, SignatureShare, read
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.setup import init_folder
-from frosts import one_more, spoiled
+from fixtures import scenarios
+from fixtures.threshold_groups import one_more, spoiled
 
-SITE = ("--site", str(worlds.HOSPITAL / "site.yaml"))
+SITE = ("--site", str(scenarios.HOSPITAL / "site.yaml"))
 PEOPLE = ("ana", "ben", "cho")
 PLAN = {"plan": [{"tool": "navigate_to", "arguments": {"destination": "Pharmacy", "speed": 0.5}}]}
 
@@ -73,7 +73,7 @@ def dealt(desk: Desk, *, threshold: int = 2) -> None:
 def asked(desk: Desk, *, needed: int = 3) -> list[str]:
     """Open a request at a store; return where it is."""
     desk.done("keys", "init", "trust")
-    source = (worlds.HOSPITAL / "mission.yaml").read_text(encoding="utf-8")
+    source = (scenarios.HOSPITAL / "mission.yaml").read_text(encoding="utf-8")
     for old, new in (
         ("tau_1: 30", "tau_1: 1"),
         ("tau_2: 60", "tau_2: 2"),
@@ -91,7 +91,7 @@ def asked(desk: Desk, *, needed: int = 3) -> list[str]:
 
 
 def run(desk: Desk) -> tuple[int, Any]:
-    binding = ("--binding", str(worlds.HOSPITAL / "binding.yaml"))
+    binding = ("--binding", str(scenarios.HOSPITAL / "binding.yaml"))
     told = ("--token", "careful.token", "--trust", "trust", "--store", "robot.db")
     return desk.run("run", *told, *SITE, *binding, "--plan", "plan.json")
 
@@ -421,7 +421,7 @@ def test_under_two_roots_no_group_is_certified(desk: Desk) -> None:
     dealt(desk)
     folder = Path("hybrid")
     both = (Algorithm.ED25519, Algorithm.ML_DSA_65)
-    init_folder(folder, (), now=worlds._BEGIN, algorithms=both)
+    init_folder(folder, (), now=scenarios._BEGIN, algorithms=both)
     every = ("--role", "supervisor", "--every-robot", "--every-region")
     words = ("frost", "certify", "--trust", "hybrid", "--group", "dealt/group.json", *every)
     assert "Ed25519 alone" in desk.refused(*words, code=5)

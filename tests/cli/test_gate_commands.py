@@ -26,7 +26,6 @@ import msgspec
 import pytest
 import typer
 
-import worlds
 from authguard_r.audit.verify import Row
 from authguard_r.cli import call
 from authguard_r.cli.attend import status_lines
@@ -42,14 +41,15 @@ from authguard_r.core.token import open_token
 from authguard_r.keys.trust import read_trust
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import Act, ClientRole, Kind
-from scripted import Peer, Talk, listening, welcome_of
+from fixtures import scenarios
+from fixtures.scripted_peer import Peer, Talk, listening, welcome_of
 
 SITE = ["--site", "h/site.yaml"]
 KEY = ["--key", "trust/keys/operator-1.key.pem", "--cert", "trust/keys/operator-1.cert.pem"]
 ON = ["--trust", "trust", *SITE, "--store", "r.db"]
 
 STATUS: dict[str, Any] = {
-    "robot": worlds.RID,
+    "robot": scenarios.RID,
     "mode": "enforce",
     "uptime_ms": 3_725_000,
     "mission": {
@@ -100,9 +100,9 @@ class Shell:
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("AUTHGUARD_RUN", raising=False)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     return Shell(capsys, monkeypatch, tmp_path)
 
@@ -139,14 +139,14 @@ def serving(answers: dict[Kind, Any], seen: list[Any] | None = None) -> Talk:
 EVENTS: list[dict[str, Any]] = [
     {
         "event": "decision",
-        "time_ms": worlds.START_MS,
+        "time_ms": scenarios.START_MS,
         "client": "llm",
         "outcome": "reject",
         "reasons": ["OBJECT_OUT_OF_SCOPE"],
         "action": {"type": "pick", "object": "package-b", "destination": None},
         "execution": {"outcome": None},
     },
-    {"event": "stop", "time_ms": worlds.START_MS, "by": "cli", "role": "operator"},
+    {"event": "stop", "time_ms": scenarios.START_MS, "by": "cli", "role": "operator"},
     {"event": "alert", "what": "evil\x1b[2Jtext\n"},
 ]
 
@@ -174,7 +174,7 @@ def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:
         code, text = shell("status", "--gate", path)
     assert code == 0
     assert text.splitlines() == [
-        f"{worlds.RID}: enforce, up 1 h 2 min",
+        f"{scenarios.RID}: enforce, up 1 h 2 min",
         "mission carry-7 version 2: active, by operator-1, until 2027-01-01T00:00:00Z",
         "  pick (pick): 1 of 2 starts",
         f"  open release {'T' * 43}",
@@ -223,7 +223,7 @@ def test_what_is_not_witnessed_is_said_with_who_cosigns() -> None:
     lines = status_lines({"anchor": {"state": "uncounted", "witness": witness}})
     assert "witnesses: 0 of 1 since the start (w unreachable)" in lines
     assert "  not witnessed: 7 records (never yet)" in lines
-    later = {**witness, "witnessed_ms": worlds.START_MS}
+    later = {**witness, "witnessed_ms": scenarios.START_MS}
     (line,) = (
         one
         for one in status_lines({"anchor": {"state": "counted", "witness": later}})
@@ -281,7 +281,7 @@ def test_without_a_folder_a_command_says_where_it_looked(shell: Shell, monkeypat
 
 
 def test_the_deployed_units_put_a_gate_where_commands_look() -> None:
-    units = worlds.ROOT / "deploy" / "systemd"
+    units = scenarios.ROOT / "deploy" / "systemd"
     for name in ("authguard-gate@.service", "authguard-stop-lane@.service"):
         text = (units / name).read_text()
         assert f"RuntimeDirectory={RUNS.name}/%i\n" in text
@@ -596,7 +596,7 @@ def test_wrong_usage_is_one_line_and_names_the_option(shell: Shell) -> None:
 def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: str) -> None:
     Path("file").write_text("")
     config = gate_config(shell)
-    name = f"trust/keys/{'estimator' if command == 'estimator' else 'gate'}-{worlds.RID}"
+    name = f"trust/keys/{'estimator' if command == 'estimator' else 'gate'}-{scenarios.RID}"
     signer = ("--key", f"{name}.key.pem", "--cert", f"{name}.cert.pem")
     words = {
         "gate": (
@@ -607,14 +607,14 @@ def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: st
         "robot": tuple(SITE),
         "estimator": signer,
     }[command]
-    on = ("--robot", worlds.RID, "--trust", "trust", "--run", "file")
+    on = ("--robot", scenarios.RID, "--trust", "trust", "--run", "file")
     code, reason, message = shell.refused(command, *on, *words)
     assert (code, reason) == (5, "STORE_UNAVAILABLE")
     assert "expected a folder" in message
 
 
 def gate_config(shell: Shell) -> str:
-    words = ("--demo", "--robot", worlds.RID, "--trust", "trust", "--out", "gate.token")
+    words = ("--demo", "--robot", scenarios.RID, "--trust", "trust", "--out", "gate.token")
     assert shell("gate-config", "make", *words)[0] == 0
     return "gate.token"
 
@@ -707,12 +707,12 @@ def test_metrics_are_served_fresh_and_a_gate_that_is_away_is_seen(program: Any) 
 
 
 def beside(path: Path, **changes: Any) -> None:
-    said = {"socket": str(path), "pid": 4711, "robot": worlds.RID, **changes}
+    said = {"socket": str(path), "pid": 4711, "robot": scenarios.RID, **changes}
     Path("r.db.gate").write_text(json.dumps(said))
 
 
 def standing() -> dict[str, Any]:
-    made: dict[str, Any] = msgspec.to_builtins(worlds.active(worlds.verified()))
+    made: dict[str, Any] = msgspec.to_builtins(scenarios.active(scenarios.verified()))
     assert msgspec.convert(made, Standing)
     return made
 

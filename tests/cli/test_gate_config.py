@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.gate.config import open_gate_config
 from authguard_r.keys.trust import read_trust
-from witnesses import SmallWitness
+from fixtures import scenarios
+from fixtures.small_witness import SmallWitness
 
 KEY = "trust/keys/{}.key.pem"
 CERT = "trust/keys/{}.cert.pem"
@@ -42,7 +42,7 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
     return Shell(capsys)
 
 
@@ -72,8 +72,8 @@ def test_names_become_numbers_and_the_gate_reads_them(shell: Shell) -> None:
     config = open_gate_config(
         Path("gate.token").read_bytes(),
         verifier=read_trust(Path("trust")),
-        now=worlds.NOW,
-        robot=worlds.RID,
+        now=scenarios.NOW,
+        robot=scenarios.RID,
     )
     assert {peer.uid: [*peer.roles] for peer in config.peers} == {
         USER.pw_uid: ["planner"],
@@ -172,7 +172,7 @@ def test_a_trial_is_one_user_and_says_so(shell: Shell) -> None:
 
 
 def test_a_token_of_another_kind_is_none(shell: Shell) -> None:
-    Path("m.token").write_bytes(worlds.token())
+    Path("m.token").write_bytes(scenarios.token())
     assert shell("gate-config", "show", "m.token")[0] == 4
     Path("gate.yaml").write_text("x")
     assert shell(*signing())[0] == 4
@@ -202,8 +202,8 @@ def test_witnesses_are_written_shown_and_signed(shell: Shell) -> None:
     config = open_gate_config(
         Path("gate.token").read_bytes(),
         verifier=read_trust(Path("trust")),
-        now=worlds.NOW,
-        robot=worlds.RID,
+        now=scenarios.NOW,
+        robot=scenarios.RID,
     )
     assert (config.quorum, config.witness_ms, config.witnesses[0].key) == (1, 3_600_000, key)
     Path("gate.yaml").write_text(changed.replace("quorum: 1", "quorum: 2"))

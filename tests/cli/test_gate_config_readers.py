@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.audit.boxes import DataClass
 from authguard_r.cli import call
 from authguard_r.gate.config import GateConfig, open_gate_config
 from authguard_r.keys.readers import new_reader
 from authguard_r.keys.trust import read_trust
 from authguard_r.sealing import Reader, Retention
+from fixtures import scenarios
 
 DAY_MS = 86_400_000
 EVERY = tuple(sorted(DataClass))
@@ -47,7 +47,7 @@ def shell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Shell:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
     return Shell(capsys)
 
 
@@ -55,8 +55,8 @@ def signed() -> GateConfig:
     return open_gate_config(
         Path("gate.token").read_bytes(),
         verifier=read_trust(Path("trust")),
-        now=worlds.NOW,
-        robot=worlds.RID,
+        now=scenarios.NOW,
+        robot=scenarios.RID,
     )
 
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.client import AsyncGateClient, GateClient
 from authguard_r.commands import Verb
@@ -31,9 +30,10 @@ from authguard_r.core.reasons import Reason
 from authguard_r.gate.config import Peer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole, Mode
-from gates import AUTHGUARD, RunningGate, until
+from fixtures import scenarios
+from fixtures.gate_process import AUTHGUARD, RunningGate, until
 
-REPLIES = worlds.HOSPITAL / "replies"
+REPLIES = scenarios.HOSPITAL / "replies"
 #: Too fast: one bound, which a signature can raise.
 FAST = b'navigate_to(destination="Pharmacy", speed=1.2)'
 COLLECT, WRONG = ((REPLIES / f"{n}.json").read_bytes() for n in ("01-collect", "06-wrong-package"))
@@ -48,7 +48,7 @@ class Desk:
         self._capsys = capsys
         self.at = ("--gate", gate.run)
         self.on = (
-            *("--trust", gate.trust, "--site", worlds.HOSPITAL / "site.yaml"),
+            *("--trust", gate.trust, "--site", scenarios.HOSPITAL / "site.yaml"),
             *("--store", gate.store, "--robot", gate.rid),
         )
 
@@ -87,6 +87,7 @@ def quick(capsys: pytest.CaptureFixture[str]) -> Iterator[Desk]:
         yield Desk(gate, capsys)
 
 
+@pytest.mark.smoke
 def test_a_stop_in_mid_motion_then_a_signed_resume(desk: Desk) -> None:
     token = desk.token()
     code, said = desk.json("mission", "activate", token, *desk.on)
@@ -186,6 +187,7 @@ def journal(desk: Desk) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines if line.startswith('{"time_ms"')]
 
 
+@pytest.mark.smoke
 def test_the_log_is_read_while_the_gate_holds_the_store(quick: Desk) -> None:
     token = quick.token()
     assert quick("mission", "activate", token, *quick.on)[0] == 0
@@ -377,7 +379,9 @@ def test_a_client_of_another_robot_s_root_does_not_believe_the_gate(
     quick: Desk, tmp_path: Path
 ) -> None:
     foreign = tmp_path / "foreign"
-    assert call(["keys", "init", str(foreign), "--site", str(worlds.HOSPITAL / "site.yaml")]) == 0
+    assert (
+        call(["keys", "init", str(foreign), "--site", str(scenarios.HOSPITAL / "site.yaml")]) == 0
+    )
     with pytest.raises(AuthenticityError):
         GateClient.connect(quick.gate.socket, role=ClientRole.PLANNER, verifier=read_trust(foreign))
     code, said = quick.json("status", *quick.at, "--trust", foreign)

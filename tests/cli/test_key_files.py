@@ -28,7 +28,6 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.cli.app import program
 from authguard_r.cli.inputs import wall_now
@@ -41,14 +40,15 @@ from authguard_r.keys.setup import read_authority
 from authguard_r.keys.signer import FileSigner, certified
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, RunningGate
-from hardware import Token, needs_token
+from fixtures import scenarios
+from fixtures.gate_process import AUTHGUARD, RunningGate
+from fixtures.hardware_token import Token, needs_token
 
 SAID = "correct horse battery staple"
 KEY, CERT = "trust/keys/operator-1.key.pem", "trust/keys/operator-1.cert.pem"
 SITE = ["--site", "h/site.yaml"]
 PASS = ["--passphrase-file", "said"]
-COLLECT = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 #: These hold a robot's own key, which is a plain file or nothing, or only look at one.
 SERVICES = {"gate", "stop-lane", "doctor"}
 
@@ -79,9 +79,9 @@ def shell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Shell]:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     say(SAID)
     yield Shell(capsys, monkeypatch)

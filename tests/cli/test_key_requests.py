@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.cli.inputs import wall_now
 from authguard_r.core.errors import AuthenticityError
@@ -23,7 +22,8 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import profile_digest
-from gates import AUTHGUARD
+from fixtures import scenarios
+from fixtures.gate_process import AUTHGUARD
 
 EVERYWHERE = ("--every-robot", "--every-region")
 OPERATOR = ("--role", "operator", "--principal", "operator-1", *EVERYWHERE)
@@ -76,7 +76,7 @@ def machines(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Machines:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
     made = Machines(capsys, monkeypatch)
     assert made("keys", "init", "auth", "--no-demo", "--site", "h/site.yaml")[0] == 0
     return made
@@ -117,8 +117,8 @@ def test_a_gate_gets_the_profile_of_its_robot(machines: Machines) -> None:
     assert machines("keys", "request", *words, "--out", "gate")[0] == 2  # without its site
     stem = machines.member("gate", *words, "--site", "h/site.yaml")
     leaf = holds(stem, "gate/trust")
-    assert leaf.profile == profile_digest(worlds.site().robots[worlds.RID].profile)
-    assert (leaf.robot, leaf.role) == (worlds.RID, Role.GATE)
+    assert leaf.profile == profile_digest(scenarios.site().robots[scenarios.RID].profile)
+    assert (leaf.robot, leaf.role) == (scenarios.RID, Role.GATE)
     stranger = ("--role", "gate", "--principal", "g", "--robot", "nobody", "--site", "h/site.yaml")
     assert machines("keys", "request", *stranger, "--out", "x")[0] == 2
 

@@ -10,15 +10,13 @@ from typing import Any
 
 import pytest
 
-import deliveries
-import shadow_logs
-import worlds
 from authguard_r.audit.record import Entry, append, read_record
 from authguard_r.cli import call
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_show import _WAITING, Timeline
 from authguard_r.core.errors import MalformedError
 from authguard_r.store.sqlite import open_store, read_rows
+from fixtures import scenarios, shadow_logs, templates
 from missionpair.bench import approve, make_bench, propose
 from missionpair.suite import restricted
 
@@ -129,8 +127,8 @@ def test_each_filter_leaves_what_it_says_and_all_of_them_together(log: Log) -> N
 def test_times_are_bounds_that_belong_to_what_they_bound(log: Log) -> None:
     _, told = log.json("show")
     times = [record["link"]["time_ms"] for record in told["records"]]
-    at = f"{worlds._BEGIN:%Y-%m-%d}T14:05:00Z"
-    early = [seq for seq, ms in enumerate(times) if ms == worlds.START_MS]
+    at = f"{scenarios._BEGIN:%Y-%m-%d}T14:05:00Z"
+    early = [seq for seq, ms in enumerate(times) if ms == scenarios.START_MS]
     assert log.shown("--until", at) == early
     assert log.shown("--since", at) == list(range(LAST + 1))
     assert log.shown("--since", at.replace("14:05:00", "14:05:01")) == list(range(3, LAST + 1))
@@ -232,7 +230,7 @@ def test_a_refusal_is_explained_with_what_influenced_it_and_what_would_allow_it(
     code, text = log("explain", HIJACKED, "--draft", draft)
     assert (code, "read it, then: authguard mission compile" in text) == (0, True)
     assert draft.read_text().startswith(f"# PROPOSED: what would have allowed record {HIJACKED}")
-    site = worlds.HOSPITAL / "site.yaml"
+    site = scenarios.HOSPITAL / "site.yaml"
     assert call(["mission", "compile", str(draft), "--site", str(site)]) == 0
     assert log("explain", HIJACKED, "--draft", draft)[0] == 5  # it takes nothing's place
     assert log("explain", WENT, "--draft", tmp_path / "none")[0] == 1
@@ -285,9 +283,9 @@ def test_a_record_that_is_not_there_is_refused(log: Log) -> None:
 def test_a_mission_that_was_made_of_a_template_has_a_smallest_change_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sim = deliveries.admitted(store=tmp_path / "robot.db")
-    sim.gate.management.activate(deliveries.token())
-    worlds.propose(sim, worlds.navigate("dock", "pharmacy", speed=1_200))
+    sim = templates.admitted(store=tmp_path / "robot.db")
+    sim.gate.management.activate(templates.token())
+    scenarios.propose(sim, scenarios.navigate("dock", "pharmacy", speed=1_200))
     sim.gate.close()
     log = Log(tmp_path / "robot.db", capsys)
     _, told = log.json("explain", find(log, "decision", "reject"))

@@ -17,7 +17,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.audit import pieces
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Terminal
@@ -35,7 +34,8 @@ from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.notes import cosign, log_key, sign_text, witness_key
 from authguard_r.keys.signer import read_signer
 from authguard_r.store.sqlite import open_store
-from logs import ROBOT, checkpoint_of, edited, log_of
+from fixtures import scenarios
+from fixtures.small_logs import ROBOT, checkpoint_of, edited, log_of
 
 SIZE = 9
 ROWS = log_of(SIZE)
@@ -99,8 +99,8 @@ class Desk:
 @pytest.fixture
 def desk(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Desk:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     return Desk(tmp_path, capsys)
 

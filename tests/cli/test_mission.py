@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
+from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]
 KEY = ["--key", "trust/keys/operator-1.key.pem", "--cert", "trust/keys/operator-1.cert.pem"]
@@ -55,9 +55,9 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Iterator[Shell]:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     yield Shell(capsys, monkeypatch)
     assert list(tmp_path.glob("**/*.new")) == []  # nothing half written is left
@@ -272,7 +272,7 @@ def test_the_confirmation_holds_request_mission_card_and_who(shell: Shell) -> No
         "mission": card["digest"],
         "mid": "deliver-p1",
         "version": 1,
-        "request": worlds.draft()["task"],
+        "request": scenarios.draft()["task"],
         "by": "operator-1",
         "at_ms": said["at_ms"],
         "how": "interactive",

@@ -15,6 +15,8 @@ import authguard_reference as oracle
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN
 
+pytestmark = pytest.mark.complete
+
 
 def validate(*arguments: str) -> tuple[int, Any]:
     command = [
@@ -106,7 +108,7 @@ def test_a_plans_deviation_is_its_worst_and_its_average() -> None:
     from random import Random
 
     from authguard_r.report import average_deviation, plan_deviation
-    from cases import ALONE, decide_case
+    from fixtures.decision_cases import ALONE, decide_case
 
     plan = (*tuple(decide_case(ALONE[r](Random(1))).findings for r in sorted(ALONE)), ())
     theirs = oracle.plan_deviation([[str(f.reason) for f in findings] for findings in plan], None)

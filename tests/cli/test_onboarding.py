@@ -11,19 +11,19 @@ from typing import Any
 
 import pytest
 
-import shadow_logs as logs
-import worlds
 from authguard_r.audit.record import Entry
 from authguard_r.cli import call
 from authguard_r.core.provenance import Label
 from authguard_r.normalize.context import Influence
 from authguard_r.store.sqlite import read_rows
+from fixtures import scenarios
+from fixtures import shadow_logs as logs
 
 TOOLS = json.dumps(
     {"tools": [{"name": "go", "inputSchema": {"properties": {"room": {"type": "string"}}}}]}
 )
-SITE = str(worlds.HOSPITAL / "site.yaml")
-BINDING = str(worlds.HOSPITAL / "binding.yaml")
+SITE = str(scenarios.HOSPITAL / "site.yaml")
+BINDING = str(scenarios.HOSPITAL / "binding.yaml")
 
 
 class Shell:
@@ -160,13 +160,13 @@ def shadow(path: Path, *more: Entry) -> Path:
     return logs.write(
         path,
         [
-            logs.decided(worlds.navigate("dock", "pharmacy", speed=500)),
+            logs.decided(scenarios.navigate("dock", "pharmacy", speed=500)),
             logs.decided(
-                worlds.navigate("pharmacy", "station-103", speed=800),
+                scenarios.navigate("pharmacy", "station-103", speed=800),
                 at="pharmacy",
                 influences=(notice,),
             ),
-            logs.decided(worlds.navigate("dock", "office-1"), marks={"mode": "enforce"}),
+            logs.decided(scenarios.navigate("dock", "office-1"), marks={"mode": "enforce"}),
             logs.refused(logs.call("go", room="Dock", speed_m_s=0.5)),
             logs.refused(logs.call("go", room="Attic", speed_m_s=0.5)),
             *more,
@@ -233,7 +233,7 @@ def test_nothing_is_overwritten_and_nothing_is_signed(shell: Shell, tmp_path: Pa
 
 
 def test_a_log_that_teaches_nothing_is_refused(shell: Shell, tmp_path: Path) -> None:
-    go = worlds.navigate("dock", "pharmacy")
+    go = scenarios.navigate("dock", "pharmacy")
     logs.write(tmp_path / "enforced.db", [logs.decided(go, marks={})])
     code, told = shell.json("learn", "enforced.db", "--site", SITE, "--out", "p")
     assert (code, "shadow" in told["error"]["message"]) == (1, True)
@@ -279,7 +279,7 @@ def test_with_trust_an_unsigned_site_counts_beside_a_demo_root_only(
     shell: Shell, tmp_path: Path
 ) -> None:
     shadow(tmp_path / "run.db")
-    trust = worlds.trust_folder()
+    trust = scenarios.trust_folder()
     assert shell("learn", "run.db", "--site", SITE, "--out", "p", "--trust", trust)[0] == 0
 
 

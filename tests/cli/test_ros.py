@@ -12,7 +12,7 @@ import pytest
 
 from authguard_r.cli import call, ros
 from authguard_r.ros.keystore import KEY
-from keystores import EXAMPLE, example, home, resign
+from fixtures.ros_keystores import EXAMPLE, example, home, resign
 
 
 def told(capsys: Any) -> dict[str, Any]:

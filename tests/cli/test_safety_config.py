@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.core.identifiers import (
     ActionType,
@@ -34,6 +33,7 @@ from authguard_r.safety import (
 from authguard_r.safety.config import Executable
 from authguard_r.site.model import profile_digest
 from authguard_r.site.source import read_site, read_yaml
+from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]
 MAKE = ["safety-config", "make", *SITE, "--robot", "courier-1", "--out", "s.yaml"]
@@ -63,8 +63,8 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
     return Shell(capsys, monkeypatch)
 
 
@@ -81,12 +81,12 @@ def signing(by: str = "safety-officer-1", site: str = "h/site.yaml") -> list[str
 def opened() -> SafetyConfig:
     """Return what a gate would read."""
     data = Path("s.token").read_bytes()
-    return open_config(data, verifier=read_trust(Path("trust")), now=worlds.NOW)
+    return open_config(data, verifier=read_trust(Path("trust")), now=scenarios.NOW)
 
 
 def site_without(*kinds: str) -> dict[str, Any]:
     """Return the hospital as plain data without some action types."""
-    plain: Any = read_yaml((worlds.HOSPITAL / "site.yaml").read_text(), where="site")
+    plain: Any = read_yaml((scenarios.HOSPITAL / "site.yaml").read_text(), where="site")
     for kind in kinds:
         del plain["vocabulary"][kind]
         for robot in plain["robots"].values():
@@ -95,7 +95,7 @@ def site_without(*kinds: str) -> dict[str, Any]:
 
 
 def test_what_is_made_and_signed_is_the_robots_own_envelope(shell: Shell) -> None:
-    own = default_config(worlds.site(), worlds.RID)
+    own = default_config(scenarios.site(), scenarios.RID)
     code, made = shell.json(*MAKE)
     assert (code, made["digest"]) == (0, safety_digest(own))
     code, signed = shell.json(*signing(), "--trust", "trust")
@@ -112,7 +112,7 @@ def test_what_is_left_out_or_empty_is_the_robots_own_and_shown(shell: Shell) -> 
         Path("s.yaml").write_text(SOUND + left_out)
         code, shown = shell(*signing())
         assert code == 0
-        assert opened() == default_config(worlds.site(), worlds.RID)
+        assert opened() == default_config(scenarios.site(), scenarios.RID)
         assert shown.splitlines()[:-2] == made.splitlines()[:-1]
         assert "  keeps out of plant-room\n" in shown
         assert "  unlike the robot's own envelope: nothing\n" in shown
@@ -133,8 +133,8 @@ def test_every_field_of_a_configuration_can_be_said(shell: Shell) -> None:
         schema="authguard-r/safety/1",
         id=Identifier("ward-3"),
         version=7,
-        rid=worlds.OTHER,
-        profile=profile_digest(worlds.site().robots[worlds.OTHER].profile),
+        rid=scenarios.OTHER,
+        profile=profile_digest(scenarios.site().robots[scenarios.OTHER].profile),
         max_speed_mm_s=500,
         max_force_mn=12_000,
         max_payload_g=2_000,
@@ -334,7 +334,7 @@ def test_what_is_made_says_what_it_means_whatever_things_are_called(shell: Shell
         "go": {"moves": True, "fields": []},
     }
     Path("odd.yaml").write_text(json.dumps(plain))
-    own = default_config(read_site(Path("odd.yaml")), worlds.RID)
+    own = default_config(read_site(Path("odd.yaml")), scenarios.RID)
     assert (own.paced, own.in_place) == ({"go": 1500}, ("clean",))
     assert shell(*MAKE, "--site", "odd.yaml")[0] == 0
     assert shell(*signing(site="odd.yaml"))[0] == 0
@@ -363,7 +363,7 @@ def test_with_a_root_the_site_has_to_be_authentic(shell: Shell) -> None:
 
 
 def test_a_token_of_another_kind_or_signature_is_none(shell: Shell) -> None:
-    Path("m.token").write_bytes(worlds.token())
+    Path("m.token").write_bytes(scenarios.token())
     for trust in ([], ["--trust", "trust"]):
         code, refused = shell.json("safety-config", "show", "m.token", *trust)
         assert (code, refused["error"]["code"]) == (4, "WRONG_KIND")

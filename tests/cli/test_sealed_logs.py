@@ -21,8 +21,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import shadow_logs
-import worlds
 from authguard_r.audit.boxes import BOX, SEALING, WRAP, DataClass
 from authguard_r.audit.record import (
     Entry,
@@ -43,8 +41,9 @@ from authguard_r.sealing import Reader, SealingPolicy
 from authguard_r.sealing.sealer import Sealer
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate
-from logs import edited, rechained
+from fixtures import scenarios, shadow_logs
+from fixtures.gate_process import RunningGate
+from fixtures.small_logs import edited, rechained
 
 SAID = "correct horse battery staple"
 EVERY = tuple(sorted(DataClass))
@@ -170,7 +169,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         assert (code, made["file"]) == (0, str(file))
         if role in ROLES:
             readers.append(Reader(role=role, classes=ROLES[role], key=made["key"]))
-    draft = worlds.draft()
+    draft = scenarios.draft()
     grants = {grant["id"]: f"g{number}" for number, grant in enumerate(draft["grants"])}
     with RunningGate(simulate=True, readers=tuple(readers), refusals=0) as gate:
         made = World(folder, gate.store, {})
@@ -462,7 +461,7 @@ def test_a_broken_chain_is_said_before_a_box(world: World, tmp_path: Path) -> No
 
 
 def test_a_reader_of_everything_makes_every_decision_again(world: World) -> None:
-    trust = worlds.trust_folder()
+    trust = scenarios.trust_folder()
     code, found = world.json("replay", "auditor", "--trust", trust)
     assert (code, found["agree"], found["not_replayable"]) == (0, 4, 0)
     assert found["verified"] is True
@@ -619,7 +618,7 @@ def test_a_file_that_is_no_readers_key_opens_nothing(world: World, tmp_path: Pat
     damaged = tmp_path / "damaged.pem"
     key = (world.folder / "staff.key.pem").read_bytes()
     damaged.write_bytes(key.replace(b"\n", b"A\n", 2))
-    signs = worlds.trust_folder() / "keys" / "operator-1.key.pem"
+    signs = scenarios.trust_folder() / "keys" / "operator-1.key.pem"
     sealed = ["--passphrase-file", world.folder / "said"]
     staff = ["--reader", world.folder / "staff.key.pem"]
     for words, code in (
@@ -639,7 +638,7 @@ def test_a_file_that_is_no_readers_key_opens_nothing(world: World, tmp_path: Pat
 
 def shadow(path: Path, readers: tuple[Reader, ...]) -> Path:
     """Write the log of a shadow run that sealed what it saw."""
-    sealer, store = Sealer(worlds.RID, SealingPolicy(readers=readers)), open_store(path)
+    sealer, store = Sealer(scenarios.RID, SealingPolicy(readers=readers)), open_store(path)
 
     def put(entry: Entry, *, plain: bool = False) -> None:
         if plain:
@@ -648,7 +647,7 @@ def shadow(path: Path, readers: tuple[Reader, ...]) -> Path:
             store.run(lambda turn: sealer.append(turn, entry, salts=os.urandom))
 
     put(shadow_logs.genesis(), plain=True)
-    put(shadow_logs.decided(worlds.navigate("dock", "pharmacy")))
+    put(shadow_logs.decided(scenarios.navigate("dock", "pharmacy")))
     put(shadow_logs.refused(shadow_logs.call("navigate_to", destination="Pharmacy", speed=0.5)))
     store.close()
     return path
@@ -662,7 +661,7 @@ def test_a_reader_of_everything_learns_and_others_are_told_what_is_sealed(tmp_pa
         path.write_bytes(key.pem())
         readers.append(Reader(role=path.stem, classes=classes, key=key.public.text()))
     log = shadow(tmp_path / "shadow.db", tuple(readers))
-    site = ["--site", worlds.HOSPITAL / "site.yaml"]
+    site = ["--site", scenarios.HOSPITAL / "site.yaml"]
     code, told = say_json("learn", log, *site, "--out", tmp_path / "a", "--reader", auditor)
     assert (code, told["used"], told["unused"]) == (0, 2, [])
     for number, words in enumerate(([], ["--reader", porter])):

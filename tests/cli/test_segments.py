@@ -13,7 +13,6 @@ from typing import Any
 import apsw
 import pytest
 
-import worlds
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.rotation import Rotation, RotationPolicy
 from authguard_r.assembly import folder_signer
@@ -23,10 +22,11 @@ from authguard_r.gate.checkup.logbook import store_advice
 from authguard_r.store.segments import name_of
 from authguard_r.store.sqlite import SqliteStore, open_store
 from conformance.test_vectors_log import NODE, VERIFIER, needs_node
-from segmenting import fill
-from witnesses import log_keys
+from fixtures import scenarios
+from fixtures.segmented_stores import fill
+from fixtures.small_witness import log_keys
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 SCAN = "scan_obstacles"
 #: Records of the log, its first segment's end, and the end of the second.
 SIZE, FIRST, SECOND = 1_899, 1_024, 1_536
@@ -35,19 +35,19 @@ KEY = ("--key", log_keys()[0].text())
 
 def made(path: Path) -> None:
     """Write a gate's log of missions, stops and much else, and move what is old of it."""
-    sim = worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token())
-    worlds.propose(sim, GO)
+    sim = scenarios.simulation(store=path)
+    sim.gate.management.activate(scenarios.token())
+    scenarios.propose(sim, GO)
     store = sim.gate.ledger.store
     assert isinstance(store, SqliteStore)
-    signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
-    checkpoints = Checkpoints(sim.gate.ledger, robot=worlds.RID, signer=signer)
+    signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
+    checkpoints = Checkpoints(sim.gate.ledger, robot=scenarios.RID, signer=signer)
     fill(store, SIZE - 1 - store.read(lambda turn: turn.head())[0])
     checkpoints.make()
     rotation = Rotation(
         sim.gate.ledger,
         store,
-        robot=worlds.RID,
+        robot=scenarios.RID,
         signer=signer,
         policy=RotationPolicy(records=1_024),
     )
@@ -55,7 +55,7 @@ def made(path: Path) -> None:
         rotation.tick()
     for _ in range(9):
         rotation.tick()
-    worlds.propose(sim, GO)
+    scenarios.propose(sim, GO)
     rotation._policy = RotationPolicy(records=512)
     while store.segments.end < SECOND:
         rotation.tick()
@@ -140,7 +140,7 @@ def test_growth_is_told_for_each_mission_and_adds_up(
     code, found = told(capsys, "growth", kept)
     none, mission = found["missions"]
     assert code == 0
-    assert (none["mission"], mission["mission"]) == ("-", worlds.mission().mid)
+    assert (none["mission"], mission["mission"]) == ("-", scenarios.mission().mid)
     assert found["told_by"] is None
     for name in ("records", "decisions", "bytes"):
         assert found[name] == none[name] + mission[name]
@@ -162,7 +162,7 @@ def test_growth_is_a_table_for_people(kept: Path, capsys: pytest.CaptureFixture[
     _, text = said(capsys, "growth", kept)
     head, *rows = text.splitlines()
     assert head.split() == ["mission", "records", "decisions", "bytes", "bytes/decision", "share"]
-    assert [row.split()[0] for row in rows] == ["-", worlds.mission().mid, "all"]
+    assert [row.split()[0] for row in rows] == ["-", scenarios.mission().mid, "all"]
     assert rows[-1].split()[1] == f"{SIZE:,}"
     assert rows[-1].endswith("100.0%")
     assert len({len(row) for row in (head, *rows)}) == 1
@@ -206,7 +206,7 @@ def test_a_store_without_segments_has_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "robot.db"
-    worlds.simulation(store=path).gate.close()
+    scenarios.simulation(store=path).gate.close()
     assert said(capsys, "segments", path) == (
         0,
         "no segments: every record is in the store itself\n",
@@ -217,7 +217,7 @@ def test_a_store_without_segments_has_none(
 def test_a_store_that_a_gate_holds_has_its_segments_listed(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sim = worlds.simulation(store=log)
+    sim = scenarios.simulation(store=log)
     assert len(told(capsys, "segments", log)[1]["segments"]) == 2
     sim.gate.close()
 
@@ -260,7 +260,7 @@ def test_a_segment_that_another_key_signed_is_refused(
 
 def test_a_segment_that_others_read_is_said(log: Path) -> None:
     segment(log, FIRST).chmod(0o644)
-    found = store_advice(log, worlds.NOW, uid=os.geteuid(), deep=True)
+    found = store_advice(log, scenarios.NOW, uid=os.geteuid(), deep=True)
     places = [one.place for one in found if one.code is Code.READABLE]
     assert str(segment(log, FIRST)) in places
     assert str(segment(log, 0)) not in places

@@ -15,13 +15,13 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.keys.certificate import build_authority, build_leaf, build_root
 from authguard_r.keys.setup import AUTHORITIES
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import site_digest
+from fixtures import scenarios
 
 AUTHORITY = [
     "--key",
@@ -65,9 +65,9 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     return Shell(tmp_path, capsys, monkeypatch)
 
@@ -75,14 +75,14 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) 
 @pytest.fixture
 def token(shell: Shell) -> str:
     code, made = shell.json("site", "sign", "h/site.yaml", *AUTHORITY, "--out", "s.token")
-    assert (code, made) == (0, {"file": "s.token", "digest": site_digest(worlds.site())})
+    assert (code, made) == (0, {"file": "s.token", "digest": site_digest(scenarios.site())})
     return "s.token"
 
 
 def certify_for_work(folder: Path) -> None:
     """Certify a demo set-up's keys anew, under a root that does not say `demo`."""
-    now = datetime.fromtimestamp(worlds.START_MS / 1000 - 86_400, UTC)
-    old, at = read_trust(folder), worlds.NOW
+    now = datetime.fromtimestamp(scenarios.START_MS / 1000 - 86_400, UTC)
+    old, at = read_trust(folder), scenarios.NOW
     keys = {
         path.name.removesuffix(".key.pem"): load_pem_private_key(path.read_bytes(), None)
         for path in (folder / "keys").glob("*.key.pem")
@@ -122,7 +122,7 @@ def certify_for_work(folder: Path) -> None:
 
 def mission(shell: Shell, site: str) -> None:
     """Compile and sign the hospital's mission as `m.token`."""
-    at = to_timestamp(worlds.START_MS)
+    at = to_timestamp(scenarios.START_MS)
     compiled = ("mission", "compile", "h/mission.yaml", "--site", site, "--out", "m.json")
     assert shell(*compiled, "--now", at)[0] == 0
     keys = ("--key", "trust/keys/operator-1.key.pem", "--cert", "trust/keys/operator-1.cert.pem")
@@ -134,7 +134,7 @@ def decide(shell: Shell, site: str) -> tuple[int, Any]:
     plain = {"type": "scan_obstacles", "tool": "lidar"}
     (shell.folder / "a.json").write_text(json.dumps(plain))
     asked = ("--trust", "trust", "--token", "m.token", "--action", "a.json", "--site", site)
-    return shell.json("decide", *asked, "--now", to_timestamp(worlds.START_MS))
+    return shell.json("decide", *asked, "--now", to_timestamp(scenarios.START_MS))
 
 
 # -- check and show --------------------------------------------------------------------------------
@@ -170,7 +170,7 @@ def test_check_takes_words_from_the_standard_vocabulary(shell: Shell) -> None:
 def test_show_draws_a_map_and_tells_the_rest(shell: Shell) -> None:
     code, shown = shell.json("site", "show", "h/site.yaml", "--svg", "map.svg")
     assert code == 0
-    assert shown["digest"] == site_digest(worlds.site())
+    assert shown["digest"] == site_digest(scenarios.site())
     assert shown["model"]["regions"]["dock"]["approach"] == [36000, 1500]
     assert ["dock", "public-corridor"] in [pair["between"] for pair in shown["adjacent"]]
     assert (shell.folder / "map.svg").read_text().startswith("<svg ")
@@ -285,7 +285,7 @@ def test_a_signed_site_says_whose_it_is(shell: Shell, token: str) -> None:
         "site-authority-1",
         "site_authority",
     )
-    assert found["digest"] == site_digest(worlds.site())
+    assert found["digest"] == site_digest(scenarios.site())
     assert shell("site", "check", token)[0] == shell("site", "show", token)[0] == 0
 
 

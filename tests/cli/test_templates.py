@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.compile.confirmation import How
+from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]
 AT = ["--trust", "trust", *SITE, "--store", "r.db"]
@@ -55,9 +55,9 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Iterator[Shell]:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     yield Shell(capsys, monkeypatch)
     assert list(tmp_path.glob("**/*.new")) == []  # nothing half written is left

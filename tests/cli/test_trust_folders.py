@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode_fast
 from authguard_r.keys.envelope import is_sealed
 from authguard_r.keys.request import fingerprint
 from authguard_r.keys.trust import read_trust
-from gates import RunningGate
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate
 
 EVERYWHERE = ("--every-robot", "--every-region")
 OPERATOR = ("--role", "operator", "--principal", "operator-1", *EVERYWHERE)
@@ -106,7 +106,7 @@ def test_what_did_not_go_in_is_said_and_the_others_did(shell: Shell) -> None:
 def test_a_gate_that_has_the_list_does_not_keep_it_from_the_folder(tmp_path: Path) -> None:
     own, copy = tmp_path / "own", tmp_path / "copy"
     for folder in (own, copy):  # the tests' own set-up is everybody's
-        shutil.copytree(worlds.trust_folder(), folder)
+        shutil.copytree(scenarios.trust_folder(), folder)
     with RunningGate(simulate=True, trust=own) as gate:
         assert call(["keys", "revoke", str(gate.trust), "supervisor-2"]) == 0
         lists = [str(path) for path in sorted((gate.trust / "revocations").glob("*.json"))]
@@ -164,7 +164,7 @@ def test_no_command_writes_over_a_private_key(shell: Shell) -> None:
     Path("said").chmod(0o600)
     key, root = "op/operator-1.key.pem", "auth/keys/root.key.pem"
     before = held()
-    site = worlds.HOSPITAL / "site.yaml"
+    site = scenarios.HOSPITAL / "site.yaml"
     for words in (
         ("keys", "public", "--key", key, "--out", key),
         ("keys", "public", "--key", key, "--out", root),

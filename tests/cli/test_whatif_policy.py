@@ -13,19 +13,19 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.approvals.organization import OrganizationPolicy, policy_digest
 from authguard_r.assembly import folder_signer
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag
 from authguard_r.core.token import sign_object
 from authguard_r.shapes import action_json
+from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]
 DECIDE = ["decide", "--token", "m.token", "--trust", "trust", *SITE, "--state", "s.json"]
 REVIEW = ["mission", "review", "m.token", *SITE]
 MAY_ASK = "  an organization's risk policy may ask more people: review with --risk-policy"
-GO = action_json(worlds.navigate("dock", "pharmacy", speed=800))
+GO = action_json(scenarios.navigate("dock", "pharmacy", speed=800))
 
 
 class Shell:
@@ -50,16 +50,16 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(worlds.HOSPITAL, tmp_path / "h")
-    shutil.copytree(worlds.trust_folder(), tmp_path / "trust")
-    for path in (tmp_path / "trust" / "keys").glob(f"*{worlds.OTHER}*"):
+    shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
+    shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
+    for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
         path.unlink()
     made = Shell(capsys, monkeypatch)
     assert made("mission", "compile", "h/mission.yaml", *SITE, "--out", "m.json")[0] == 0
     stem = "trust/keys/operator-1"
     keys = ("--key", f"{stem}.key.pem", "--cert", f"{stem}.cert.pem")
     assert made("mission", "sign", "m.json", *keys, *SITE, "--yes", "--out", "m.token")[0] == 0
-    Path("s.json").write_bytes(msgspec.json.encode(worlds.state().snapshot))
+    Path("s.json").write_bytes(msgspec.json.encode(scenarios.state().snapshot))
     Path("a.json").write_text(json.dumps(GO))
     return made
 
@@ -71,7 +71,7 @@ def policy(**changes: Any) -> OrganizationPolicy:
         "organization": "hospital",
         "version": 7,
         "issued": "2026-01-01T00:00:00Z",
-        "policy": msgspec.structs.replace(worlds.mission().risk_policy, **changes),
+        "policy": msgspec.structs.replace(scenarios.mission().risk_policy, **changes),
     }
     return msgspec.convert(plain, OrganizationPolicy)
 
@@ -113,7 +113,7 @@ def test_a_looser_policy_takes_nothing_away_from_the_missions_own(shell: Shell) 
     Path("d.yaml").write_text(draft)
     assert shell("mission", "compile", "d.yaml", *SITE, "--out", "m.json")[0] == 0
     signer = folder_signer(Path("trust"), "operator-1")
-    mission = msgspec.json.decode(Path("m.json").read_bytes(), type=type(worlds.mission()))
+    mission = msgspec.json.decode(Path("m.json").read_bytes(), type=type(scenarios.mission()))
     Path("m.token").write_bytes(sign_object(mission, Tag.MISSION, signer))
     loose = written(policy(tau_1=1000, tau_2=1000))
     code, asked = shell.json(*DECIDE, "--action", "a.json", *loose)

@@ -12,7 +12,7 @@ import pytest
 from authguard_r.audit.note import read_key
 from authguard_r.cli import call
 from authguard_r.keys.algorithms import Algorithm
-from witnessing import NAME, NOW_S, ORIGIN, Log, make, opened
+from fixtures.witness_process import NAME, NOW_S, ORIGIN, Log, make, opened
 
 
 class Shell:

@@ -17,7 +17,6 @@ import msgspec
 import pytest
 import rfc8785
 
-import worlds
 from authguard_r.core.encoding import decode, encode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import is_identifier
@@ -25,6 +24,7 @@ from authguard_r.core.mission import Mission, Row, require_schema
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
+from fixtures import scenarios
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EXTERNAL = ROOT.parent / "shared" / "external"
@@ -59,7 +59,7 @@ def confusables() -> tuple[tuple[str, str], ...]:
 
 @cache
 def binder() -> Binder:
-    return Binder(worlds.site(), worlds.binding())
+    return Binder(scenarios.site(), scenarios.binding())
 
 
 def quoted(text: str) -> str:
@@ -91,11 +91,11 @@ def meant(dialect: Dialect, tool: str, field: str, value: str) -> Any:
 
 
 def regions() -> dict[str, str]:
-    return {n: r for r, m in worlds.site().regions.items() for n in (r, *m.names)}
+    return {n: r for r, m in scenarios.site().regions.items() for n in (r, *m.names)}
 
 
 def objects() -> dict[str, str]:
-    return {n: o for o, m in worlds.site().objects.items() for n in (o, *m.names)}
+    return {n: o for o, m in scenarios.site().objects.items() for n in (o, *m.names)}
 
 
 def twins(name: str) -> Iterator[str]:
@@ -186,7 +186,7 @@ def test_a_naughty_string_is_an_identifier_only_when_it_is_spelled_like_one() ->
 
 def test_a_naughty_task_is_signed_as_it_is_or_refused_for_its_form() -> None:
     """The task explains and never authorizes; it must survive byte for byte all the same."""
-    mission = worlds.mission()
+    mission = scenarios.mission()
     for text in naughty():
         changed = msgspec.structs.replace(mission, task=text)
         data = encode(changed)

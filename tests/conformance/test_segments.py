@@ -25,7 +25,7 @@ from authguard_r.store.memory import MemoryStore
 from authguard_r.store.moving import Mover
 from authguard_r.store.segments import name_of
 from authguard_r.store.sqlite import SqliteStore, open_store, read_held, read_rows
-from segmenting import SECRET, copying, fill, note, rotate
+from fixtures.segmented_stores import SECRET, copying, fill, note, rotate
 
 
 @pytest.fixture

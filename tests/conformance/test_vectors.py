@@ -16,8 +16,6 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 import authguard_reference as oracle
 import authguard_reference.templates as oracle_templates
-import streams
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decide import decide
@@ -37,9 +35,11 @@ from authguard_r.templates import require_sound as require_sound_template
 from authguard_r.wire import messages
 from authguard_r.wire.frames import FrameReader, raw_frame, read_body
 from authguard_r.wire.messages import Kind
-from published import attested, facts_from, load
+from fixtures import frame_streams, scenarios
+from fixtures.cases import case
+from fixtures.vectors import attested, facts_from, load
 
-VECTORS = worlds.ROOT / "vectors"
+VECTORS = scenarios.ROOT / "vectors"
 
 
 GATE = load("gate.json")
@@ -49,39 +49,44 @@ def named(vector: dict[str, Any]) -> str:
     return " ".join([vector["reason"], vector["kind"], vector.get("note", "")]).strip()
 
 
-@pytest.mark.parametrize("vector", GATE["vectors"], ids=named)
-def test_the_gate_gives_the_published_answer(vector: dict[str, Any]) -> None:
-    given, expect = vector["input"], vector["expect"]
-    facts = facts_from(given.get("facts", GATE["facts"]))
-    mission = msgspec.convert(given["mission"], Mission)
-    issuer = Principal(
-        id=mission.issuer,
-        role="operator",
-        scope=worlds.EVERYWHERE,
-        usable_until_ms=given["usable_until_ms"],
-    )
-    standing = given["standing"]
-    decision = decide(
-        index_mission(mission, given["digest"], issuer),
-        msgspec.convert(given["action"], Action),
-        state=attested(given["state"], facts),
-        facts=facts,
-        now=msgspec.convert(given["now"], Now),
-        standing=None if standing is None else msgspec.convert(standing, Standing),
-        approvals=tuple(msgspec.convert(a, VerifiedApproval) for a in given["approvals"]),
-    )
-    assert str(decision.verdict) == expect["verdict"]
-    assert [str(reason) for reason in decision.reasons] == expect["reasons"]
-    if decision.match is not None:
-        assert decision.match.indexed.grant.id == expect["grant"]
+def test_the_gate_gives_the_published_answer() -> None:
+    for vector in GATE["vectors"]:
+        with case(named(vector)):
+            given, expect = vector["input"], vector["expect"]
+            facts = facts_from(given.get("facts", GATE["facts"]))
+            mission = msgspec.convert(given["mission"], Mission)
+            issuer = Principal(
+                id=mission.issuer,
+                role="operator",
+                scope=scenarios.EVERYWHERE,
+                usable_until_ms=given["usable_until_ms"],
+            )
+            standing = given["standing"]
+            decision = decide(
+                index_mission(mission, given["digest"], issuer),
+                msgspec.convert(given["action"], Action),
+                state=attested(given["state"], facts),
+                facts=facts,
+                now=msgspec.convert(given["now"], Now),
+                standing=None if standing is None else msgspec.convert(standing, Standing),
+                approvals=tuple(msgspec.convert(a, VerifiedApproval) for a in given["approvals"]),
+            )
+            assert str(decision.verdict) == expect["verdict"]
+            assert [str(reason) for reason in decision.reasons] == expect["reasons"]
+            if decision.match is not None:
+                assert decision.match.indexed.grant.id == expect["grant"]
 
 
-@pytest.mark.parametrize("vector", GATE["vectors"], ids=named)
-def test_the_oracle_gives_the_published_answer(vector: dict[str, Any]) -> None:
-    given = dict(vector["input"])
-    facts = given.pop("facts", GATE["facts"])
-    verdict = oracle.decide(given.pop("mission"), facts=facts, **given)
-    assert {name: verdict[name] for name in vector["expect"]} == vector["expect"]
+def test_the_oracle_gives_the_published_answer() -> None:
+    for vector in GATE["vectors"]:
+        with case(named(vector)):
+            given, expect = dict(vector["input"]), vector["expect"]
+            facts = given.pop("facts", GATE["facts"])
+            mission = given.pop("mission")
+            verdict = oracle.decide(mission, facts=facts, **given)
+            assert {name: verdict[name] for name in expect} == expect
+            allowed = oracle.authorized(mission, facts=facts, **given)
+            assert allowed is (expect["verdict"] == "accept")
 
 
 def test_every_reason_of_the_gate_has_a_vector_alone_and_a_near_miss() -> None:
@@ -103,7 +108,7 @@ def test_every_other_encoding_is_refused() -> None:
 
 
 def test_every_planner_text_means_what_is_published() -> None:
-    binder = Binder(worlds.site(), worlds.binding())
+    binder = Binder(scenarios.site(), scenarios.binding())
     for vector in load("normalize.json")["vectors"]:
         try:
             plan = normalize(vector["raw"].encode(), binder=binder)
@@ -212,9 +217,10 @@ def test_every_stream_is_cut_or_ended_as_published() -> None:
         bounds = {int(kind): FRAMES["bounds"][kind.name] for kind in kinds}
         reader = FrameReader(lambda kind, bounds=bounds: bounds.get(kind, 0))  # type: ignore[misc]
         chunks = [bytes.fromhex(chunk) for chunk in vector["chunks"]]
-        assert streams.cut(reader, chunks) == vector["expect"], vector["name"]
+        assert frame_streams.cut(reader, chunks) == vector["expect"], vector["name"]
 
 
+@pytest.mark.complete
 def test_the_vectors_are_what_the_generator_writes_save_for_fresh_keys(tmp_path: Path) -> None:
     script = [sys.executable, str(VECTORS / "generate.py"), str(tmp_path)]
     subprocess.run(script, check=True)

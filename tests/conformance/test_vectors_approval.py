@@ -12,10 +12,8 @@ import json
 from typing import Any
 
 import msgspec
-import pytest
 
 import authguard_reference as oracle
-import worlds
 from authguard_r.approvals import open_approval
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
@@ -27,7 +25,9 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import Principal, VerifiedMission, index_mission
 from authguard_r.questions import Asked, why_not
-from published import attested, facts_from, load, named, trust_in
+from fixtures import scenarios
+from fixtures.cases import case
+from fixtures.vectors import attested, facts_from, load, named, trust_in
 
 Json = dict[str, Any]
 APPROVAL = load("approval.json")
@@ -56,7 +56,7 @@ def now_of(vector: Json) -> Json:
 def verified() -> VerifiedMission:
     mission = msgspec.convert(APPROVAL["mission"], Mission)
     issuer = Principal(
-        id=mission.issuer, role="operator", scope=worlds.EVERYWHERE, usable_until_ms=1 << 60
+        id=mission.issuer, role="operator", scope=scenarios.EVERYWHERE, usable_until_ms=1 << 60
     )
     return index_mission(mission, APPROVAL["digest"], issuer)
 
@@ -87,62 +87,65 @@ def plain_answers(vector: Json) -> list[Json]:
     return found
 
 
-@pytest.mark.parametrize("vector", APPROVAL["vectors"], ids=named)
-def test_the_gate_takes_answers_in_and_decides_with_them_as_published(vector: Json) -> None:
-    facts = facts_of(vector)
-    answers = opened(vector)
-    assert [msgspec.convert(p, VerifiedApproval) for p in plain_answers(vector)] == answers
-    decision = decide(
-        verified(),
-        msgspec.convert(APPROVAL["actions"][vector["action"]], Action),
-        state=attested(APPROVAL["states"][vector["state"]], facts),
-        facts=facts,
-        now=msgspec.convert(now_of(vector), Now),
-        standing=msgspec.convert(standing_of(vector), Standing),
-        approvals=tuple(answers),
-    )
-    assert decision.need is not None
-    assert {
-        "verdict": str(decision.verdict),
-        "reasons": [str(reason) for reason in decision.reasons],
-        "required": decision.need.required,
-        "risk": decision.need.risk,
-    } == vector["expect"]
+def test_the_gate_takes_answers_in_and_decides_with_them_as_published() -> None:
+    for vector in APPROVAL["vectors"]:
+        with case(named(vector)):
+            facts = facts_of(vector)
+            answers = opened(vector)
+            assert [msgspec.convert(p, VerifiedApproval) for p in plain_answers(vector)] == answers
+            decision = decide(
+                verified(),
+                msgspec.convert(APPROVAL["actions"][vector["action"]], Action),
+                state=attested(APPROVAL["states"][vector["state"]], facts),
+                facts=facts,
+                now=msgspec.convert(now_of(vector), Now),
+                standing=msgspec.convert(standing_of(vector), Standing),
+                approvals=tuple(answers),
+            )
+            assert decision.need is not None
+            assert {
+                "verdict": str(decision.verdict),
+                "reasons": [str(reason) for reason in decision.reasons],
+                "required": decision.need.required,
+                "risk": decision.need.risk,
+            } == vector["expect"]
 
 
-@pytest.mark.parametrize("vector", APPROVAL["vectors"], ids=named)
-def test_the_oracle_decides_with_the_answers_as_published(vector: Json) -> None:
-    verdict = oracle.decide(
-        APPROVAL["mission"],
-        digest=APPROVAL["digest"],
-        usable_until_ms=1 << 60,
-        action=APPROVAL["actions"][vector["action"]],
-        state=APPROVAL["states"][vector["state"]],
-        facts=plain_facts(vector),
-        now=now_of(vector),
-        standing=standing_of(vector),
-        approvals=plain_answers(vector),
-    )
-    assert {name: verdict[name] for name in vector["expect"]} == vector["expect"]
+def test_the_oracle_decides_with_the_answers_as_published() -> None:
+    for vector in APPROVAL["vectors"]:
+        with case(named(vector)):
+            verdict = oracle.decide(
+                APPROVAL["mission"],
+                digest=APPROVAL["digest"],
+                usable_until_ms=1 << 60,
+                action=APPROVAL["actions"][vector["action"]],
+                state=APPROVAL["states"][vector["state"]],
+                facts=plain_facts(vector),
+                now=now_of(vector),
+                standing=standing_of(vector),
+                approvals=plain_answers(vector),
+            )
+            assert {name: verdict[name] for name in vector["expect"]} == vector["expect"]
 
 
-@pytest.mark.parametrize("vector", APPROVAL["vectors"], ids=named)
-def test_every_answer_is_worth_what_is_published(vector: Json) -> None:
-    mission, standing = verified(), msgspec.convert(standing_of(vector), Standing)
-    asked = None
-    if vector["request"] is not None:
-        ((grant, request),) = standing.requests.items()
-        asked = Asked(
-            verified=mission,
-            grant=next(g for g in mission.mission.actions if g.id == grant),
-            request=request,
-            action=msgspec.convert(APPROVAL["actions"][vector["asked"]], Action),
-            standing=standing,
-            facts=facts_of(vector),
-        )
-    now = msgspec.convert(now_of(vector), Now)
-    worth = [why_not(asked, answer, now) for answer in opened(vector)]
-    assert worth == [a["why_not"] for a in vector["answers"] if a["opened"] == "ok"]
+def test_every_answer_is_worth_what_is_published() -> None:
+    for vector in APPROVAL["vectors"]:
+        with case(named(vector)):
+            mission, standing = verified(), msgspec.convert(standing_of(vector), Standing)
+            asked = None
+            if vector["request"] is not None:
+                ((grant, request),) = standing.requests.items()
+                asked = Asked(
+                    verified=mission,
+                    grant=next(g for g in mission.mission.actions if g.id == grant),
+                    request=request,
+                    action=msgspec.convert(APPROVAL["actions"][vector["asked"]], Action),
+                    standing=standing,
+                    facts=facts_of(vector),
+                )
+            now = msgspec.convert(now_of(vector), Now)
+            worth = [why_not(asked, answer, now) for answer in opened(vector)]
+            assert worth == [a["why_not"] for a in vector["answers"] if a["opened"] == "ok"]
 
 
 def test_every_answer_and_request_is_one_that_a_vector_speaks_of() -> None:

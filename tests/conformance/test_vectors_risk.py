@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import msgspec
-import pytest
 
 import authguard_reference.approval as oracle_approval
 import authguard_reference.risk as oracle_risk
@@ -21,8 +20,9 @@ from authguard_r.core.mission import Mission, RiskPolicy
 from authguard_r.core.quantities import Now
 from authguard_r.core.risk import Tier, required, rho, tier_of
 from authguard_r.core.token import Principal, index_mission
-from published import attested, facts_from, load, named, trust_in
-from worlds import EVERYWHERE
+from fixtures.cases import case
+from fixtures.scenarios import EVERYWHERE
+from fixtures.vectors import attested, facts_from, load, named, trust_in
 
 Json = dict[str, Any]
 RISK = load("risk.json")
@@ -77,90 +77,99 @@ def taken_apart(
     return {part: whole - scored(*without(policy, done, part), vector) for part in parts}
 
 
-@pytest.mark.parametrize("vector", RISK["vectors"], ids=named)
-def test_the_gate_scores_each_policy_as_published(vector: Json) -> None:
-    for policy, expect in zip(policies_of(vector), vector["expect"]["each"], strict=True):
-        own = msgspec.convert(policy, RiskPolicy)
-        score = gate_rho(policy, vector["action"], vector)
-        tier = tier_of(own, score)
-        found = {"rho": score, "tier": int(tier), "required": required(own, tier)}
-        assert {**found, "parts": expect["parts"]} == expect
-        assert taken_apart(gate_rho, policy, vector, expect["parts"]) == expect["parts"]
+def test_the_gate_scores_each_policy_as_published() -> None:
+    for vector in RISK["vectors"]:
+        with case(named(vector)):
+            for policy, expect in zip(policies_of(vector), vector["expect"]["each"], strict=True):
+                own = msgspec.convert(policy, RiskPolicy)
+                score = gate_rho(policy, vector["action"], vector)
+                tier = tier_of(own, score)
+                found = {"rho": score, "tier": int(tier), "required": required(own, tier)}
+                assert {**found, "parts": expect["parts"]} == expect
+                assert taken_apart(gate_rho, policy, vector, expect["parts"]) == expect["parts"]
 
 
-@pytest.mark.parametrize("vector", RISK["vectors"], ids=named)
-def test_the_oracle_scores_each_policy_as_published(vector: Json) -> None:
-    done, facts = vector["action"], RISK["facts"]
-    for policy, expect in zip(policies_of(vector), vector["expect"]["each"], strict=True):
-        score = oracle_rho(policy, done, vector)
-        tier = oracle_risk.tier_of(policy, score)
-        found = {"rho": score, "tier": tier, "required": oracle_risk.required_of(policy, tier)}
-        assert {**found, "parts": expect["parts"]} == expect
-        assert taken_apart(oracle_rho, policy, vector, expect["parts"]) == expect["parts"]
-        assert oracle_risk.region_risk(policy, done, facts) == expect["parts"]["regions"]
-        assert oracle_risk.object_risk(policy, done, facts) == expect["parts"]["object"]
-        assert oracle_risk.privacy_risk(policy, done, facts) == expect["parts"]["privacy"]
+def test_the_oracle_scores_each_policy_as_published() -> None:
+    for vector in RISK["vectors"]:
+        with case(named(vector)):
+            done, facts = vector["action"], RISK["facts"]
+            for policy, expect in zip(policies_of(vector), vector["expect"]["each"], strict=True):
+                score = oracle_rho(policy, done, vector)
+                tier = oracle_risk.tier_of(policy, score)
+                found = {
+                    "rho": score,
+                    "tier": tier,
+                    "required": oracle_risk.required_of(policy, tier),
+                }
+                assert {**found, "parts": expect["parts"]} == expect
+                assert taken_apart(oracle_rho, policy, vector, expect["parts"]) == expect["parts"]
+                assert oracle_risk.region_risk(policy, done, facts) == expect["parts"]["regions"]
+                assert oracle_risk.object_risk(policy, done, facts) == expect["parts"]["object"]
+                assert oracle_risk.privacy_risk(policy, done, facts) == expect["parts"]["privacy"]
 
 
-@pytest.mark.parametrize("vector", RISK["vectors"], ids=named)
-def test_the_strictest_of_the_policies_counts_for_the_gate(vector: Json) -> None:
-    expect = vector["expect"]
-    facts = facts_from({**RISK["facts"], "risk": policies_of(vector)[1:]})
-    plain = {**RISK["mission"], "risk_policy": policies_of(vector)[0]}
-    mission = msgspec.convert(plain, Mission)
-    issuer = Principal(
-        id=mission.issuer, role="operator", scope=EVERYWHERE, usable_until_ms=1 << 60
-    )
-    case = Case(
-        verified=index_mission(mission, DIGEST, issuer),
-        action=msgspec.convert(vector["action"], Action),
-        kind=None,
-        state=attested(state_of(vector), facts),
-        facts=facts,
-        now=msgspec.convert(RISK["now"], Now),
-        standing=None,
-        approvals=(),
-    )
-    need = assess_need(case, mission.actions[0])
-    assert (need.required, need.risk) == (expect["required"], expect["rho"])
-    assert (need.scope, need.situation) == (expect.get("scope"), expect.get("situation"))
+def test_the_strictest_of_the_policies_counts_for_the_gate() -> None:
+    for vector in RISK["vectors"]:
+        with case(named(vector)):
+            expect = vector["expect"]
+            facts = facts_from({**RISK["facts"], "risk": policies_of(vector)[1:]})
+            plain = {**RISK["mission"], "risk_policy": policies_of(vector)[0]}
+            mission = msgspec.convert(plain, Mission)
+            issuer = Principal(
+                id=mission.issuer, role="operator", scope=EVERYWHERE, usable_until_ms=1 << 60
+            )
+            judged = Case(
+                verified=index_mission(mission, DIGEST, issuer),
+                action=msgspec.convert(vector["action"], Action),
+                kind=None,
+                state=attested(state_of(vector), facts),
+                facts=facts,
+                now=msgspec.convert(RISK["now"], Now),
+                standing=None,
+                approvals=(),
+            )
+            need = assess_need(judged, mission.actions[0])
+            assert (need.required, need.risk) == (expect["required"], expect["rho"])
+            assert (need.scope, need.situation) == (expect.get("scope"), expect.get("situation"))
 
 
-@pytest.mark.parametrize("vector", RISK["vectors"], ids=named)
-def test_the_strictest_of_the_policies_counts_for_the_oracle(vector: Json) -> None:
-    expect, grant = vector["expect"], RISK["mission"]["actions"][0]
-    mission = {**RISK["mission"], "risk_policy": policies_of(vector)[0]}
-    facts = {**RISK["facts"], "risk": policies_of(vector)[1:]}
-    found, needed, score = oracle_approval.step_7(
-        mission,
-        DIGEST,
-        grant,
-        action=vector["action"],
-        state=state_of(vector),
-        facts=facts,
-        now=RISK["now"],
-        standing=None,
-        approvals=[],
-    )
-    assert (needed, score) == (expect["required"], expect["rho"])
-    assert bool(found) is (expect["required"] > 1)
-    if found:
-        seen: Json = {"state": state_of(vector), "facts": facts, "now": RISK["now"]}
-        digest = oracle_approval.situation_of(mission, grant, expect["tier"], **seen)
-        assert digest == expect["situation"]
+def test_the_strictest_of_the_policies_counts_for_the_oracle() -> None:
+    for vector in RISK["vectors"]:
+        with case(named(vector)):
+            expect, grant = vector["expect"], RISK["mission"]["actions"][0]
+            mission = {**RISK["mission"], "risk_policy": policies_of(vector)[0]}
+            facts = {**RISK["facts"], "risk": policies_of(vector)[1:]}
+            found, needed, score = oracle_approval.step_7(
+                mission,
+                DIGEST,
+                grant,
+                action=vector["action"],
+                state=state_of(vector),
+                facts=facts,
+                now=RISK["now"],
+                standing=None,
+                approvals=[],
+            )
+            assert (needed, score) == (expect["required"], expect["rho"])
+            assert bool(found) is (expect["required"] > 1)
+            if found:
+                seen: Json = {"state": state_of(vector), "facts": facts, "now": RISK["now"]}
+                digest = oracle_approval.situation_of(mission, grant, expect["tier"], **seen)
+                assert digest == expect["situation"]
 
 
-@pytest.mark.parametrize("vector", RISK["organization"], ids=named)
-def test_every_policy_of_an_organization_is_taken_or_refused_as_published(vector: Json) -> None:
-    try:
-        found = open_policy(
-            vector["token"].encode(), verifier=trust_in(RISK), now=Now(RISK["now_ms"], 0)
-        )
-        got = "ok"
-        assert found.digest == policy_digest(found.policy)
-    except AuthGuardError as error:
-        got = str(error.reason)
-    assert got == vector["expect"]
+def test_every_policy_of_an_organization_is_taken_or_refused_as_published() -> None:
+    for vector in RISK["organization"]:
+        with case(named(vector)):
+            try:
+                found = open_policy(
+                    vector["token"].encode(), verifier=trust_in(RISK), now=Now(RISK["now_ms"], 0)
+                )
+                got = "ok"
+                assert found.digest == policy_digest(found.policy)
+            except AuthGuardError as error:
+                got = str(error.reason)
+            assert got == vector["expect"]
 
 
 def test_rho_ends_where_the_integers_of_the_encoding_do() -> None:

@@ -25,10 +25,10 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.hmac import HMAC
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF, HKDFExpand
 
-import worlds
+from fixtures import scenarios
 
 Json = dict[str, Any]
-VECTORS: Json = json.loads((worlds.ROOT / "vectors" / "sealed.json").read_text())
+VECTORS: Json = json.loads((scenarios.ROOT / "vectors" / "sealed.json").read_text())
 ROWS = VECTORS["rows"]
 FIRST = 2
 PARTS = ("action.act", "action.object", "action.params", "action.regions")
@@ -36,7 +36,7 @@ SPOKEN = ("approvers", "by", "caller", "digest", "grant", "members", "scheduler"
 
 
 def test_the_published_file_is_what_the_generator_writes(tmp_path: Path) -> None:
-    script = worlds.ROOT / "vectors" / "generate_sealed.py"
+    script = scenarios.ROOT / "vectors" / "generate_sealed.py"
     subprocess.run([sys.executable, str(script), str(tmp_path)], check=True)
     assert json.loads((tmp_path / "sealed.json").read_text()) == VECTORS
 

@@ -22,7 +22,8 @@ from authguard_r.keys.algorithms import algorithm_of, require_sound
 from authguard_r.keys.certificate import Leaf, Role
 from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.trust import ROOT_LISTS, Trust, is_demo
-from published import load, named, refusal
+from fixtures.cases import case
+from fixtures.vectors import load, named, refusal
 
 Json = dict[str, Any]
 
@@ -70,14 +71,15 @@ def said(leaf: Leaf) -> Json:
     }
 
 
-@pytest.mark.parametrize("vector", CERTIFICATE["vectors"], ids=named)
-def test_every_chain_says_what_is_published_or_is_refused_there(vector: Json) -> None:
-    try:
-        trust = unrevoked(CERTIFICATE, vector)
-        found = said(trust.identify(chain(CERTIFICATE, vector), Now(vector["now_ms"], 0)))
-    except AuthGuardError as error:
-        found = refusal(error)
-    assert found == vector["expect"]
+def test_every_chain_says_what_is_published_or_is_refused_there() -> None:
+    for vector in CERTIFICATE["vectors"]:
+        with case(named(vector)):
+            try:
+                trust = unrevoked(CERTIFICATE, vector)
+                found = said(trust.identify(chain(CERTIFICATE, vector), Now(vector["now_ms"], 0)))
+            except AuthGuardError as error:
+                found = refusal(error)
+            assert found == vector["expect"]
 
 
 #: Of a root we look at dates, key, name and signatures only: the trust folder vouches for it.
@@ -85,16 +87,18 @@ OURS_ALONE = "a root without any extension"
 ACCEPTED = [v for v in CERTIFICATE["vectors"] if "reason" not in v["expect"]]
 
 
-@pytest.mark.parametrize("vector", [v for v in ACCEPTED if v["name"] != OURS_ALONE], ids=named)
-def test_every_chain_that_holds_passes_openssl_too(vector: Json) -> None:
-    store = crypto.X509Store()
-    for name in vector["roots"]:
-        store.add_cert(crypto.X509.from_cryptography(certificate(CERTIFICATE, name)))
-    store.set_time(datetime.fromtimestamp(vector["now_ms"] // 1000, UTC))
-    leaf, issuer = (
-        crypto.X509.from_cryptography(certificate(CERTIFICATE, name)) for name in vector["chain"]
-    )
-    crypto.X509StoreContext(store, leaf, [issuer]).verify_certificate()
+def test_every_chain_that_holds_passes_openssl_too() -> None:
+    for vector in [v for v in ACCEPTED if v["name"] != OURS_ALONE]:
+        with case(named(vector)):
+            store = crypto.X509Store()
+            for name in vector["roots"]:
+                store.add_cert(crypto.X509.from_cryptography(certificate(CERTIFICATE, name)))
+            store.set_time(datetime.fromtimestamp(vector["now_ms"] // 1000, UTC))
+            leaf, issuer = (
+                crypto.X509.from_cryptography(certificate(CERTIFICATE, name))
+                for name in vector["chain"]
+            )
+            crypto.X509StoreContext(store, leaf, [issuer]).verify_certificate()
 
 
 @pytest.mark.parametrize("vector", CERTIFICATE["machines"], ids=named)
@@ -153,27 +157,29 @@ def believed(trust: Trust, vector: Json) -> Json:
     return {"principal": leaf.principal, "usable_until_ms": leaf.not_after_ms}
 
 
-@pytest.mark.parametrize("vector", REVOCATION["read"], ids=named)
-def test_every_list_is_read_or_refused_as_published(vector: Json) -> None:
-    name = vector["authority"]
-    key = certificate(REVOCATION, vector["key"]).public_key()
-    try:
-        data = vector["text"].encode()
-        found = read_list(data, authority=name, key=require_sound(key, where=name))
-        got: Json = {
-            "number": found.number,
-            "issued_ms": found.issued_ms,
-            "next_update_ms": found.next_update_ms,
-            "serials": sorted(map(str, found.serials)),
-        }
-    except AuthGuardError as error:
-        got = refusal(error)
-    assert got == vector["expect"]
+def test_every_list_is_read_or_refused_as_published() -> None:
+    for vector in REVOCATION["read"]:
+        with case(named(vector)):
+            name = vector["authority"]
+            key = certificate(REVOCATION, vector["key"]).public_key()
+            try:
+                data = vector["text"].encode()
+                found = read_list(data, authority=name, key=require_sound(key, where=name))
+                got: Json = {
+                    "number": found.number,
+                    "issued_ms": found.issued_ms,
+                    "next_update_ms": found.next_update_ms,
+                    "serials": sorted(map(str, found.serials)),
+                }
+            except AuthGuardError as error:
+                got = refusal(error)
+            assert got == vector["expect"]
 
 
-@pytest.mark.parametrize("vector", REVOCATION["held"], ids=named)
-def test_every_chain_is_believed_under_the_published_lists_or_refused(vector: Json) -> None:
-    assert believed(trust_of(vector), vector) == vector["expect"]
+def test_every_chain_is_believed_under_the_published_lists_or_refused() -> None:
+    for vector in REVOCATION["held"]:
+        with case(named(vector)):
+            assert believed(trust_of(vector), vector) == vector["expect"]
 
 
 @pytest.mark.parametrize("vector", REVOCATION["newer"], ids=named)

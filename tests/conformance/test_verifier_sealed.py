@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-import sealed
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.boxes import BOX, DataClass
 from authguard_r.cli import call
@@ -22,7 +20,8 @@ from authguard_r.commands import Verb
 from authguard_r.store.moving import Mover
 from authguard_r.store.sqlite import SqliteStore
 from conformance.test_vectors_log import needs_node, node
-from segmenting import note
+from fixtures import scenarios, sealed_logs
+from fixtures.segmented_stores import note
 
 #: Records in the segment of a rotated log.
 MOVED = 5
@@ -31,12 +30,12 @@ CASES = ("sealed", "shredded", "rotated", "rotated, shredded")
 
 def write(path: Path, case: str) -> None:
     """Let a gate that seals have a mission, and do with its log what the case says."""
-    with sealed.sealing(path, sealed.policy(sealed.reader("auditor"))) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy(sealed_logs.reader("auditor"))) as sim:
+        mission = sealed_logs.active(sim)
         for goal in ("pharmacy", "office-1"):
-            sim.robot.state = worlds.world("dock")
-            worlds.propose(sim, worlds.navigate("dock", goal))
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+            sim.robot.state = scenarios.world("dock")
+            scenarios.propose(sim, scenarios.navigate("dock", goal))
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
         if "rotated" in case:
             rotate(sim)
         if "shredded" in case:
@@ -51,7 +50,7 @@ def rotate(sim: Simulation) -> None:
     mover = Mover(store)
     mover.begin(MOVED)
     assert mover.copy(MOVED, lambda _turn, _rows: None)
-    mover.seal(note(links, worlds.RID), head=links[-1])
+    mover.seal(note(links, scenarios.RID), head=links[-1])
     while mover.clears:
         mover.clear(MOVED)
     assert store.segments.end == MOVED
@@ -59,7 +58,7 @@ def rotate(sim: Simulation) -> None:
 
 def shred(sim: Simulation, mid: str) -> None:
     """Have the regions of a mission destroyed, to the last box."""
-    sim.gate.management.shred(sealed.shred_order(sim, mid, DataClass.REGION))
+    sim.gate.management.shred(sealed_logs.shred_order(sim, mid, DataClass.REGION))
     while sim.gate.management.shred_on():
         pass
 

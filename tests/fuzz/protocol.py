@@ -32,8 +32,8 @@ with atheris.instrument_imports(include=["authguard_r.wire", "authguard_r.gate"]
 sys.path.insert(0, str(ROOT / "tests"))
 import msgspec  # noqa: E402 - after the instrumented imports
 
-import streams  # noqa: E402
-from unit.gate.house import House  # noqa: E402
+from fixtures import frame_streams  # noqa: E402
+from unit.gate.demo_site import House  # noqa: E402
 
 KINDS = tuple(Kind)
 BODIES = tuple(BODY.values())
@@ -150,7 +150,7 @@ def spoken(data: bytes) -> bytes:
 
 def streams_hello(role: ClientRole) -> bytes:
     """Return the hello of a role."""
-    return raw_frame(Kind.HELLO, 0, msgspec.json.encode(streams.hello(role=role)))
+    return raw_frame(Kind.HELLO, 0, msgspec.json.encode(frame_streams.hello(role=role)))
 
 
 TALKS = Talks()
@@ -170,14 +170,14 @@ def seeds(folder: Path) -> None:
     said = [bytes((0, numbers[v["message"]])) + bytes.fromhex(v["hex"])[9:] for v in own()]
     said += [
         bytes((0, numbers[v["message"]])) + bytes.fromhex(v["hex"])
-        for v in streams.bodies()
+        for v in frame_streams.bodies()
         if v["message"] in numbers
     ]
-    for vector in streams.streams():
+    for vector in frame_streams.streams():
         whole = b"".join(map(bytes.fromhex, vector["chunks"]))
         role = 0 if vector["role"] in {None, "gate"} else ROLES.index(ClientRole(vector["role"]))
         said += [bytes((1, role, 3)) + whole, bytes((2, role, 0, 7)) + whole]
-    said += [bytes((2, 0, 0, 7)) + bytes.fromhex(v["hex"]) for v in streams.hellos()]
+    said += [bytes((2, 0, 0, 7)) + bytes.fromhex(v["hex"]) for v in frame_streams.hellos()]
     for role in range(1, len(ROLES)):
         asked = [(v["kind"], bytes.fromhex(v["hex"])[9:]) for v in own()]
         talk = [bytes((KINDS.index(Kind(k)), len(b))) + b for k, b in asked if len(b) < 256]
@@ -189,7 +189,7 @@ def seeds(folder: Path) -> None:
 def own() -> list[dict[str, Any]]:
     """Return the vectors of what clients send."""
     names = {kind.__name__ for kind in BODIES}
-    return [vector for vector in streams.accepted() if vector["message"] in names]
+    return [vector for vector in frame_streams.accepted() if vector["message"] in names]
 
 
 if __name__ == "__main__":

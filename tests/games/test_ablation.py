@@ -13,8 +13,8 @@ from random import Random
 import pytest
 
 import authguard_reference as oracle
-import worlds
-from cases import ALONE, agree_accepts
+from fixtures import scenarios
+from fixtures.decision_cases import ALONE, agree_accepts
 from missionpair.ablation import CHECKS, without
 from missionpair.bench import make_bench
 from missionpair.suite import ATTACKS
@@ -76,7 +76,7 @@ def attack(check: str, rnd: Random):  # type: ignore[no-untyped-def]
 
 def guard_in_grant(case):  # type: ignore[no-untyped-def]
     """Move the false guard from the mission into the grant."""
-    from cases import _with_grant, _with_mission
+    from fixtures.decision_cases import _with_grant, _with_mission
 
     guards = case.mission.guards
     return _with_grant(_with_mission(case, guards=()), guards=guards)
@@ -85,7 +85,7 @@ def guard_in_grant(case):  # type: ignore[no-untyped-def]
 def over_the_ceiling(rnd: Random):  # type: ignore[no-untyped-def]
     """Lower the mission's ceiling under what the grant allows."""
     from authguard_r.core.mission import Limit
-    from cases import _plain, _with_mission
+    from fixtures.decision_cases import _plain, _with_mission
 
     case = _plain(rnd, "navigate")
     speed = case.action.params["speed_mm_s"]
@@ -112,4 +112,4 @@ def test_without_its_check_the_attack_of_the_suite_succeeds(trial, bench) -> Non
 
 
 def test_the_bench_is_the_hospital(bench) -> None:  # type: ignore[no-untyped-def]
-    assert bench.site == worlds.site()
+    assert bench.site == scenarios.site()

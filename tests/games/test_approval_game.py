@@ -25,11 +25,10 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-import asking
-import worlds
 from authguard_r import enforcement, intake
 from authguard_r.approvals import open_approval
 from authguard_r.core import decide as gate
+from authguard_r.core.action import Action, ActionScope
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.checks import approval as check
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -45,11 +44,13 @@ from authguard_r.keys.signer import FileSigner, open_key_file
 from authguard_r.report import Report
 from authguard_reference.approval import scope_of, situation_of
 from authguard_reference.risk import rho
-from cases import plain, plain_facts
-from restarts import Station, go, trust, way
+from fixtures import approvals, scenarios
+from fixtures.amount import amount
+from fixtures.decision_cases import plain, plain_facts
+from fixtures.restarting_gate import Station, go, trust, way
 
 replace = msgspec.structs.replace
-FACTS = worlds.facts()
+FACTS = scenarios.facts()
 FACTS_PLAIN = plain_facts(FACTS)
 OTHER_DIGEST = Digest(b64(bytes([7] * 32)))
 #: The highest tier asks four people: the issuer and three more.
@@ -64,7 +65,7 @@ THIEVES = ("supervisor-1", "supervisor-2")
 
 
 def stolen(name: str) -> PrivateKey:
-    return open_key_file(worlds.trust_folder() / "keys" / f"{name}.key.pem")[0]
+    return open_key_file(scenarios.trust_folder() / "keys" / f"{name}.key.pem")[0]
 
 
 @cache
@@ -75,7 +76,7 @@ def key(name: str) -> FileSigner:
         "": {"key": stolen(person)} if person in THIEVES else {},
         "second": {},
         "operator": {"role": Role.OPERATOR},
-        "other-robot": {"robots": (str(worlds.OTHER),)},
+        "other-robot": {"robots": (str(scenarios.OTHER),)},
         "other-region": {"regions": ("dock", "pharmacy")},
         "ends-soon": {"days": 1},
         "pair": {"threshold": 2, "members": THIEVES},
@@ -84,23 +85,30 @@ def key(name: str) -> FileSigner:
         "key-of-a-thief": {"key": stolen(THIEVES[0])},
     }[kind]
     role = more.pop("role", Role.SAFETY_OFFICER if "officer" in person else Role.SUPERVISOR)
-    return asking.key_of(worlds.trust_folder(), person, role, **more)
+    return approvals.key_of(scenarios.trust_folder(), person, role, **more)
 
 
 @cache
 def mission(version: int = 1, mid: str = "ask") -> Mission:
     """Return a mission whose ways need one, two and t people, and one more while one is near."""
     near = {"variable": "human_distance_mm", "lt": 4_000, "max_age": "1 s"}
-    plain_draft = worlds.draft()
+    plain_draft = scenarios.draft()
     grant = plain_draft["grants"][0]
     wide = {**grant, "repeat": 100, "starts": 100, "until": [], "chooser": "planner"}
+    gripped = [
+        {"object": item, "source": "dock", "regions": ["dock"]}
+        for item in ("package-p1", "package-p2")
+    ]
+    grips = {"type": "pick", "tool": "gripper", "limits": {"force_mn": ["1 N", "20 N"]}}
     grants = [
         {**wide, "id": "risky", "rows": [way("isolation-room"), way("office-1")]},
         {**wide, "id": "risky-too", "rows": [way("plant-room")]},
         {**wide, "id": "easy", "rows": [way("pharmacy")]},
+        {**wide, **grips, "id": "risky-grip", "rows": gripped},
     ]
     risk = {
         **plain_draft["risk_policy"],
+        "object_classes": {"medicine": 40},
         "tau_2": 40,
         "t": T,
         "valid": "30 h",
@@ -118,7 +126,7 @@ def mission(version: int = 1, mid: str = "ask") -> Mission:
     }
     if version > 1:
         changes["supersedes"] = digest_of(Tag.MISSION, mission(version - 1, mid))
-    return worlds.mission(**changes)
+    return scenarios.mission(**changes)
 
 
 @dataclass
@@ -166,7 +174,7 @@ class Game:
             "mid": standing.mid,
             "version": standing.version,
             "mission": standing.digest,
-            "rid": worlds.RID,
+            "rid": scenarios.RID,
             "grant": grant,
             "scope": request.scope,
             "situation": request.situation,
@@ -234,7 +242,7 @@ class Game:
             "mid": "ask",
             "version": self.version,
             "mission": digest_of(Tag.MISSION, mission(self.version)),
-            "rid": worlds.RID,
+            "rid": scenarios.RID,
             "grant": grant.id,
             "scope": scope_of(plain(judged.action)),
             "situation": situation_of(own, plain(grant), tier, **seen),
@@ -301,7 +309,7 @@ def one_person_has_two_keys(game: Game, between: Callable[[], None]) -> None:
     game.steals()
     seconds = [f"{name}/second" for name in THIEVES[: game.thieves]]
     game.hand_in(*game.forges(*seconds))
-    game.hand_in(*game.forges(*seconds, expires_ms=worlds.START_MS + 60_000))  # another answer
+    game.hand_in(*game.forges(*seconds, expires_ms=scenarios.START_MS + 60_000))  # another answer
     game.hand_in(*game.asks(*HONEST[: 2 - game.thieves]), *game.kept, *game.kept)
     between()
     game.propose()
@@ -369,12 +377,12 @@ ELSEWHERE: dict[str, Callable[[Approval], dict[str, Any]]] = {
     "mid": lambda _: {"mid": "other"},
     "version": lambda own: {"version": own.version + 1},
     "mission": lambda _: {"mission": OTHER_DIGEST},
-    "rid": lambda _: {"rid": str(worlds.OTHER)},
+    "rid": lambda _: {"rid": str(scenarios.OTHER)},
     "grant": lambda _: {"grant": "risky-too"},
     "scope": lambda _: {"scope": OTHER_DIGEST},
     "situation": lambda _: {"situation": OTHER_DIGEST},
     "counter": lambda own: {"counter": own.counter + 1},
-    "expires_ms": lambda _: {"expires_ms": worlds.START_MS + 60_000},
+    "expires_ms": lambda _: {"expires_ms": scenarios.START_MS + 60_000},
 }
 
 
@@ -397,13 +405,57 @@ for _name in ELSEWHERE:
     STRATEGIES[f"signed_for_another: {_name}"] = elsewhere(_name)
 
 
-@strategy
-def the_question_of_another_action(game: Game, between: Callable[[], None]) -> None:
-    """All answer for one speed; another, as risky, is proposed under the same grant."""
-    game.propose()
-    game.hand_in(*game.asks(*HONEST))
-    between()
-    game.propose(go("office-1", speed=700))
+#: What is carried out, and for each field of it an action that differs in that field alone.
+DRIVE = replace(go("office-1"), route=("public-corridor",))
+GRIP = Action(
+    type="pick",
+    tool="gripper",
+    object="package-p1",
+    source="dock",
+    params={"force_mn": 2_000},
+)
+DIFFERENT: dict[str, tuple[Action, dict[str, Any]]] = {
+    "type": (DRIVE, {"type": "pick"}),
+    "tool": (DRIVE, {"tool": "gripper"}),
+    "object": (GRIP, {"object": "package-p2"}),
+    "source": (DRIVE, {"source": "pharmacy"}),
+    "destination": (DRIVE, {"destination": "isolation-room"}),
+    "route": (DRIVE, {"route": ("dock", "public-corridor")}),
+    "params": (DRIVE, {"params": {"speed_mm_s": 700}}),
+}
+
+
+def signed_for_another_action(name: str) -> Strategy:
+    """All answer the open question, but for an action that differs in one field."""
+
+    def move(game: Game, between: Callable[[], None]) -> None:
+        action, other = DIFFERENT[name][0], replace(DIFFERENT[name][0], **DIFFERENT[name][1])
+        game.propose(action)
+        game.steals()
+        scope = digest_of(Tag.SCOPE, check.scope_of(other))
+        game.hand_in(*game.asks(*HONEST, scope=scope))
+        between()
+        game.propose(action)
+
+    return move
+
+
+def the_question_of_another_action(name: str) -> Strategy:
+    """All answer for one action; another, as risky, is proposed that differs in one field."""
+
+    def move(game: Game, between: Callable[[], None]) -> None:
+        action, other = DIFFERENT[name][0], replace(DIFFERENT[name][0], **DIFFERENT[name][1])
+        game.propose(other)
+        game.hand_in(*game.asks(*HONEST))
+        between()
+        game.propose(action)
+
+    return move
+
+
+for _name in DIFFERENT:
+    STRATEGIES[f"signed_for_another_action: {_name}"] = signed_for_another_action(_name)
+    STRATEGIES[f"the_question_of_another_action: {_name}"] = the_question_of_another_action(_name)
 
 
 @strategy
@@ -518,8 +570,18 @@ def play(name: str, *, thieves: int = len(THIEVES), between: str = "at once") ->
     return game
 
 
-@pytest.mark.parametrize("between", BETWEEN)
-@pytest.mark.parametrize("thieves", [0, len(THIEVES)])
+#: How many keys are stolen, and what comes between; the last ones are for the complete run.
+WAYS = [
+    (len(THIEVES), "at once"),
+    (0, "at once"),
+    (len(THIEVES), "after a crash"),
+    (len(THIEVES), "after a restart"),
+    (0, "after a restart"),
+    (0, "after a crash"),
+]
+
+
+@pytest.mark.parametrize(("thieves", "between"), WAYS[: amount(3, len(WAYS))])
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_no_strategy_wins(name: str, thieves: int, between: str) -> None:
     game = play(name, thieves=thieves, between=between)
@@ -540,6 +602,30 @@ def test_the_people_that_are_needed_move_the_robot(thieves: int) -> None:
         game.hand_in(*game.asks(person))
     assert game.propose() == []
     assert (game.released, game.wins) == (1, [])
+
+
+@pytest.mark.parametrize("name", ActionScope.__struct_fields__)
+def test_an_approval_counts_for_the_very_action_and_for_none_that_differs_in_a_field(
+    name: str,
+) -> None:
+    action, other = DIFFERENT[name][0], replace(DIFFERENT[name][0], **DIFFERENT[name][1])
+    for strategies in (signed_for_another_action, the_question_of_another_action):
+        game = Game()
+        strategies(name)(game, lambda: None)
+        assert (game.released, game.wins) == (0, [])
+        assert game.propose(action) == ["APPROVAL_REQUIRED"]
+        game.hand_in(*game.asks(*HONEST))
+        assert game.propose(action) == []
+        assert (game.released, game.wins) == (1, [])
+    assert scope_of(plain(action)) == digest_of(Tag.SCOPE, check.scope_of(action))
+    assert scope_of(plain(other)) == digest_of(Tag.SCOPE, check.scope_of(other))
+
+
+def test_the_scope_of_an_approval_is_every_field_of_the_action_but_who_proposed_it_and_why() -> (
+    None
+):
+    beside = {"provenance", "meta"}
+    assert {*ActionScope.__struct_fields__} == {*Action.__struct_fields__} - beside == {*DIFFERENT}
 
 
 # what each condition is worth
@@ -577,7 +663,7 @@ def everything_ever_taken_in(*, then: bool = False) -> Any:
     """
 
     def answers(self: Intake, act: Any, standing: Any) -> Answered:
-        at = worlds.NOW if then else act.now
+        at = scenarios.NOW if then else act.now
         held = self._ledger.store._held  # type: ignore[attr-defined]
         tokens = [
             token
@@ -616,6 +702,16 @@ def asked(**fields: str) -> Any:
         return real(case, grant, need)
 
     return patch.object(gate, "check_approval", passes)
+
+
+def scope_without(name: str) -> Any:
+    """An approval's scope in which one field is the same for every action."""
+    real, blank = check.scope_of, {"type": "any", "tool": "any", "route": (), "params": {}}
+    return patch.object(
+        check,
+        "scope_of",
+        lambda action: replace(real(action), **{name: blank.get(name)}),
+    )
 
 
 def never_over() -> Any:
@@ -675,7 +771,7 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
         lambda: (saying(mission=lambda case, *_: case.verified.digest),),
         "signed_for_another: mission",
     ),
-    "rid": (lambda: (saying(rid=lambda *_: worlds.RID),), "signed_for_another: rid"),
+    "rid": (lambda: (saying(rid=lambda *_: scenarios.RID),), "signed_for_another: rid"),
     "grant": (
         lambda: (saying(grant=lambda case, grant, request: grant.id),),
         "signed_for_another: grant",
@@ -704,11 +800,11 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
     "role": (lambda: (by(role="supervisor"),), "people_who_may_not_answer: operator"),
     "issuer": (lambda: (by(id="nobody"),), "the_issuer_answers_too"),
     "robots": (
-        lambda: (by(scope=worlds.EVERYWHERE),),
+        lambda: (by(scope=scenarios.EVERYWHERE),),
         "people_who_may_not_answer: other-robot",
     ),
     "regions": (
-        lambda: (by(scope=worlds.EVERYWHERE),),
+        lambda: (by(scope=scenarios.EVERYWHERE),),
         "people_who_may_not_answer: other-region",
     ),
     "people, not answers": (
@@ -744,7 +840,14 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
         lambda: (patch.object(check, "Verdict", SimpleNamespace(DENY=None)),),
         "past_a_denial",
     ),
-    "the request's scope": (lambda: (asked(scope=""),), "the_question_of_another_action"),
+    **{
+        f"{name} of the action": (
+            lambda name=name: (scope_without(name),),
+            f"signed_for_another_action: {name}",
+        )
+        for name in DIFFERENT
+    },
+    "the request's scope": (lambda: (asked(scope=""),), "the_question_of_another_action: params"),
     "the request's situation": (
         lambda: (asked(situation=""),),
         "the_question_of_another_situation",
@@ -881,7 +984,7 @@ class Sequences(RuleBasedStateMachine):
 
 
 QUICK = settings(
-    max_examples=40,
+    max_examples=amount(10, 40),
     stateful_step_count=25,
     deadline=None,
     database=None,
@@ -896,10 +999,8 @@ class _Long(Sequences):
     pass
 
 
-@pytest.mark.campaign
-def test_no_sequence_of_a_long_campaign_wins(request: pytest.FixtureRequest) -> None:
-    if "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("a long campaign: run it with `-m campaign`")
+@pytest.mark.nightly
+def test_no_sequence_of_a_long_campaign_wins() -> None:
     _Long.TestCase.settings = settings(
         QUICK, max_examples=3_000, stateful_step_count=60, derandomize=False
     )

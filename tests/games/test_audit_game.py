@@ -23,8 +23,20 @@ import apsw
 import msgspec
 import pytest
 
-import worlds
-from auditing import (
+from authguard_r.assembly import sign_terminal
+from authguard_r.audit.boxes import BOX, WRAP
+from authguard_r.audit.note import NoteKey
+from authguard_r.audit.record import Sealed, Terminal, read_record, read_sealed
+from authguard_r.audit.verify import Row, Verification, of_checkpoint, verify_rows
+from authguard_r.cli.exported import note_line, row_line
+from authguard_r.cli.log_reading import reading
+from authguard_r.core.encoding import Tag, encode_fast
+from authguard_r.core.quantities import Now
+from authguard_r.core.token import open_token
+from authguard_r.store.sqlite import open_store
+from authguard_r.witness.rules import Finding, Log
+from fixtures import scenarios
+from fixtures.audit_game import (
     QUORUM,
     WITNESSES,
     Auditor,
@@ -38,21 +50,8 @@ from auditing import (
     is_lost,
     same,
 )
-from authguard_r.assembly import sign_terminal
-from authguard_r.audit.boxes import BOX, WRAP
-from authguard_r.audit.note import NoteKey
-from authguard_r.audit.record import Sealed, Terminal, read_record, read_sealed
-from authguard_r.audit.verify import Row, Verification, of_checkpoint, verify_rows
-from authguard_r.cli.exported import note_line, row_line
-from authguard_r.cli.log_reading import reading
-from authguard_r.core.encoding import Tag, encode_fast
-from authguard_r.core.quantities import Now
-from authguard_r.core.token import open_token
-from authguard_r.store.sqlite import open_store
-from authguard_r.witness.rules import Finding, Log
-from definition import CHECKS, plain
-from logs import checkpoint_of, rechained
-from tampering import (
+from fixtures.small_logs import checkpoint_of, rechained
+from fixtures.tampering import (
     ATTACKS,
     Hands,
     chain_edit,
@@ -65,6 +64,7 @@ from tampering import (
     random_forgery,
     random_hands,
 )
+from fixtures.verification_checks import CHECKS, plain
 
 SEED = os.environ.get("AUTHGUARD_SEED", "20260")
 #: Random rounds by default, and in a campaign.
@@ -127,6 +127,7 @@ def named(name: str, forged: Forged, of: Genuine) -> str:
     return f"records 0 to {of.size - 1}"
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("of", [log, closed])
 @pytest.mark.parametrize("name", ATTACKS)
 def test_no_attack_on_any_record_keeps_the_anchor_and_the_first_is_named(
@@ -142,12 +143,13 @@ def test_no_attack_on_any_record_keeps_the_anchor_and_the_first_is_named(
 @pytest.mark.parametrize("name", ATTACKS)
 def test_a_checkpoint_after_every_record_names_the_very_first_that_was_touched(name: str) -> None:
     rows = list(tiny().rows)
-    every = [of_checkpoint(checkpoint_of(rows[:size], worlds.RID)) for size in range(1, 25)]
+    every = [of_checkpoint(checkpoint_of(rows[:size], scenarios.RID)) for size in range(1, 25)]
     for at, forged in places(name, tiny()):
         found = verify_rows(forged.rows, anchors=every)
         assert found.where == f"record {first_touched(forged.rows, tiny())}", (name, at)
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("log_of", [tiny, tiny_closed])
 @pytest.mark.parametrize("name", ATTACKS)
 def test_without_the_checks_that_find_it_the_attack_wins(
@@ -185,6 +187,7 @@ def test_what_was_destroyed_is_not_missed_and_raises_no_alarm(
     assert sum(row.sealed != b"{}" for row in of.rows) > of.size // 2
 
 
+@pytest.mark.complete
 def test_of_a_sealed_log_nothing_but_what_is_gone_passes() -> None:
     """Any set of boxes and keys may be missing; each that is there is the one that was sealed."""
     of = tiny_closed()
@@ -305,7 +308,7 @@ def test_a_checkpoint_of_another_key_is_none() -> None:
 
 def test_the_log_of_another_robot_is_another_log() -> None:
     """With its own key's checkpoint on it, that the same witnesses would cosign."""
-    of, other = short(), genuine(9, 9, worlds.OTHER)
+    of, other = short(), genuine(9, 9, scenarios.OTHER)
     forged = Forged(other.rows, newest(other))
     assert auditor(of).hears(forged).refused == "SIGNATURE_MISSING"
     assert auditor(of, kept=of.size).hears(forged).where == f"record {other.size}"
@@ -555,12 +558,8 @@ def test_no_random_tampering_keeps_the_anchor() -> None:
     play(ROUNDS)
 
 
-@pytest.mark.campaign
-def test_no_random_tampering_of_a_long_campaign_keeps_the_anchor(
-    request: pytest.FixtureRequest,
-) -> None:
-    if "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("a long campaign: run it with `-m campaign`")
+@pytest.mark.nightly
+def test_no_random_tampering_of_a_long_campaign_keeps_the_anchor() -> None:
     play(CAMPAIGN)
 
 
@@ -580,10 +579,10 @@ def test_random_tampering_wins_against_one_who_asks_nobody() -> None:
 @cache
 def anchored_log() -> tuple[tuple[Row, ...], Terminal]:
     """Return a log of real decisions and the authentic terminal digest over it."""
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     for goal in ("station-103", "pharmacy", "office-1", "station-101", "plant-room"):
-        worlds.propose(sim, worlds.navigate(sim.robot.state.region, goal))
+        scenarios.propose(sim, scenarios.navigate(sim.robot.state.region, goal))
     token = sign_terminal(sim.gate, sim.signer)
     terminal, _, _ = open_token(
         token,
@@ -591,7 +590,7 @@ def anchored_log() -> tuple[tuple[Row, ...], Terminal]:
         tag=Tag.CHECKPOINT,
         roles=frozenset({"gate"}),
         verifier=sim.gate.trust,
-        now=Now(worlds.START_MS + 60_000, 0),
+        now=Now(scenarios.START_MS + 60_000, 0),
     )
     return sim.gate.ledger.store.rows(), terminal  # type: ignore[attr-defined]
 

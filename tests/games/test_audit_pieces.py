@@ -12,10 +12,10 @@ from functools import cache
 
 import pytest
 
-from auditing import Auditor, Genuine, auditor, genuine
 from authguard_r.audit import pieces
 from authguard_r.audit.verify import Row, Verification, Verifier, verify_piece, verify_rows
-from tampering import ATTACKS, destroy_all
+from fixtures.audit_game import Auditor, Genuine, auditor, genuine
+from fixtures.tampering import ATTACKS, destroy_all
 
 #: Records of one piece.
 PIECE = 7
@@ -49,6 +49,7 @@ def in_pieces(rows: list[Row], verifier: Verifier) -> Verification:
     return verifier.finish(rows[first:])
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("log_of", [log, closed])
 @pytest.mark.parametrize("name", ATTACKS)
 def test_every_attack_on_any_record_is_told_alike_in_pieces(

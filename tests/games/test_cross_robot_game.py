@@ -13,33 +13,33 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
+from fixtures import scenarios
 from missionpair.bench import Scene
 from missionpair.suite import force_in
 
 VARIANTS: dict[str, Callable[[Mission], Mission]] = {
     "ROBOT_MISMATCH": lambda m: m,
-    "PROFILE_MISMATCH": lambda m: msgspec.structs.replace(m, rid=worlds.OTHER),
+    "PROFILE_MISMATCH": lambda m: msgspec.structs.replace(m, rid=scenarios.OTHER),
 }
 
 
 @pytest.mark.parametrize("reason", sorted(VARIANTS))
 def test_another_robot_does_not_take_the_mission_in(reason: str) -> None:
-    sim = worlds.simulation(rid=worlds.OTHER)
+    sim = scenarios.simulation(rid=scenarios.OTHER)
     with pytest.raises(AuthGuardError) as refused:
-        sim.gate.management.activate(worlds.token(VARIANTS[reason](worlds.mission())))
+        sim.gate.management.activate(scenarios.token(VARIANTS[reason](scenarios.mission())))
     assert str(refused.value.reason) == reason
     assert sim.gate.management.standing("deliver-p1") is None
 
 
 @pytest.mark.parametrize("reason", sorted(VARIANTS))
 def test_another_robot_accepts_no_action_even_with_the_mission_in_its_registry(reason: str) -> None:
-    sim = worlds.simulation(rid=worlds.OTHER)
-    mission = VARIANTS[reason](worlds.mission())
-    force_in(Scene(sim=sim, mission=mission, plan=b""), worlds.token(mission))
-    report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    sim = scenarios.simulation(rid=scenarios.OTHER)
+    mission = VARIANTS[reason](scenarios.mission())
+    force_in(Scene(sim=sim, mission=mission, plan=b""), scenarios.token(mission))
+    report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.outcome is None
     assert reason in [str(r) for r in report.judged.decision.reasons]
     assert sim.robot.trace == []

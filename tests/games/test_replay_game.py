@@ -17,7 +17,6 @@ from unittest.mock import patch
 
 import pytest
 
-import worlds
 from authguard_r.approvals import Selection, answer
 from authguard_r.commands import Command, StoreClaim, Verb
 from authguard_r.core.action import Action
@@ -35,64 +34,65 @@ from authguard_r.ledger import Act, Ledger
 from authguard_r.report import Report
 from authguard_r.shapes import Disclosure
 from authguard_r.store.memory import MemoryStore
+from fixtures import scenarios
+from fixtures.restarting_gate import Station, copied, go, signer, way
 from missionpair.ablation import without
-from restarts import Station, copied, go, signer, way
 
 ENDINGS = {Verb.REVOKE: "REVOKED", Verb.COMPLETE: "MISSION_COMPLETED"}
 
 
 def command(verb: Verb, nonce: str, *, by: str = "operator-1") -> bytes:
-    mission = worlds.mission()
+    mission = scenarios.mission()
     value = Command(
         verb=verb,
         mid=mission.mid,
         version=mission.version,
         mission=digest_of(Tag.MISSION, mission),
         nonce=b64(nonce.encode()),
-        expires_ms=worlds.START_MS + 600_000,
+        expires_ms=scenarios.START_MS + 600_000,
     )
-    return sign_object(value, Tag.COMMAND, worlds.folder_signer(worlds.trust_folder(), by))
+    return sign_object(value, Tag.COMMAND, scenarios.folder_signer(scenarios.trust_folder(), by))
 
 
 @pytest.mark.parametrize("verb", sorted(ENDINGS))
 def test_a_mission_that_ended_is_never_accepted_again_not_even_after_a_restart(
     verb: Verb, tmp_path: Path
 ) -> None:
-    sim = worlds.simulation(store=tmp_path / "robot.db")
-    sim.gate.management.activate(worlds.token())
-    first = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    sim = scenarios.simulation(store=tmp_path / "robot.db")
+    sim.gate.management.activate(scenarios.token())
+    first = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert first.outcome == "succeeded"
     sim.gate.management.command(command(verb, "end"))
     for round_ in range(2):
         with pytest.raises(AuthGuardError) as refused:
-            sim.gate.management.activate(worlds.token())
+            sim.gate.management.activate(scenarios.token())
         assert str(refused.value.reason) == ENDINGS[verb]
-        again = worlds.propose(sim, worlds.navigate("pharmacy", "station-101"))
+        again = scenarios.propose(sim, scenarios.navigate("pharmacy", "station-101"))
         assert again.outcome is None
         assert len(sim.robot.trace) == (1 if round_ == 0 else 0)
         sim.gate.close()
-        sim = worlds.simulation(
+        sim = scenarios.simulation(
             store=tmp_path / "robot.db",
-            start=worlds.world("pharmacy"),
-            start_ms=worlds.START_MS + 120_000,
+            start=scenarios.world("pharmacy"),
+            start_ms=scenarios.START_MS + 120_000,
         )
     sim.gate.close()
 
 
 def test_a_one_time_action_is_used_up() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
-    worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
-    sim.robot.state = worlds.world("dock")
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
+    sim.robot.state = scenarios.world("dock")
     sim.robot.pause(100)
-    again = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    again = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert again.outcome is None
     assert [str(r) for r in again.judged.decision.reasons] == ["REPEAT_EXHAUSTED"]
 
 
 def test_a_command_is_carried_out_once_and_only_for_who_may_give_it() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     with pytest.raises(AuthGuardError, match="ROLE_DENIED"):
         sim.gate.management.command(command(Verb.REVOKE, "a", by="operator-2"))
     with pytest.raises(AuthGuardError, match="ROLE_DENIED"):
@@ -101,7 +101,7 @@ def test_a_command_is_carried_out_once_and_only_for_who_may_give_it() -> None:
     with pytest.raises(AuthGuardError, match="EXPIRED"):
         sim.gate.management.command(command(Verb.SUSPEND, "c", by="safety-officer-1"))
     sim.gate.management.command(command(Verb.RESUME, "d"))
-    assert worlds.propose(sim, worlds.navigate("dock", "pharmacy")).outcome == "succeeded"
+    assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome == "succeeded"
 
 
 def test_no_event_leads_out_of_a_terminal_status() -> None:
@@ -129,7 +129,7 @@ class Outside:
 @cache
 def once(version: int = 1) -> Mission:
     """Return a mission of which everything may be done once."""
-    drafted = worlds.draft()
+    drafted = scenarios.draft()
     grant = {**drafted["grants"][0], "until": [], "repeat": 1, "starts": 2}
     scan = next(g for g in drafted["grants"] if g["id"] == "look-out")
     two = [way("station-101"), way("station-103")]
@@ -145,7 +145,7 @@ def once(version: int = 1) -> Mission:
     }
     if version > 1:
         changes["supersedes"] = digest_of(Tag.MISSION, once(version - 1))
-    return worlds.mission(**changes)
+    return scenarios.mission(**changes)
 
 
 SCAN = Action(type="scan_obstacles", tool="lidar", params={})
@@ -207,7 +207,7 @@ class Replayer:
         assert standing is not None
         verified = self.here.gate.ledger.run(self.here.gate.enforcer.intake.active_mission)
         ((grant, request),) = standing.requests.items()
-        value = answer(verified, grant, request, rid=worlds.RID, verdict=Verdict.APPROVE)
+        value = answer(verified, grant, request, rid=scenarios.RID, verdict=Verdict.APPROVE)
         self.first("approval", sign_object(value, Tag.APPROVAL, signer("supervisor-1")))
         return self.does(action)
 
@@ -389,7 +389,7 @@ def accept(game: Replayer) -> bytes:
     )
     value = Command(
         verb=Verb.ACCEPT_STORE,
-        mid=MissionId(str(worlds.RID)),
+        mid=MissionId(str(scenarios.RID)),
         version=1,
         mission=claim.store,
         nonce=b64(b"accept-the-store"),

@@ -16,8 +16,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.assembly import Simulation, folder_signer, simulate
 from authguard_r.audit.record import read_record
@@ -31,13 +29,14 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, add_member, init_folder
+from fixtures import scenarios, templates
 from missionpair.bench import Bench, Scene, approve, propose
 from missionpair.suite import restricted
 
-GO = worlds.navigate("dock", "pharmacy")
-BEGIN = datetime.fromtimestamp(worlds.START_MS / 1_000, UTC)
-LATER = worlds.START_MS + 3_600_000
-REGIONS = tuple(worlds.mission().regions)
+GO = scenarios.navigate("dock", "pharmacy")
+BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1_000, UTC)
+LATER = scenarios.START_MS + 3_600_000
+REGIONS = tuple(scenarios.mission().regions)
 #: Everything that the way into the isolation room names.
 WAY = ("dock", "isolation-room")
 Where = tuple[str, ...] | None
@@ -47,7 +46,9 @@ _names = itertools.count()
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("scope") / "trust"
-    init_folder(made, worlds.demo_members(worlds.site(), (worlds.RID, worlds.OTHER)), now=BEGIN)
+    init_folder(
+        made, scenarios.demo_members(scenarios.site(), (scenarios.RID, scenarios.OTHER)), now=BEGIN
+    )
     return made
 
 
@@ -65,10 +66,10 @@ def gate(folder: Path, **kwargs: Any) -> Simulation:
     """Return a gate that started after everybody was certified."""
     return simulate(
         folder,
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
-        start_ms=worlds.START_MS,
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
+        start_ms=scenarios.START_MS,
         **{"store": None, **kwargs},
     )
 
@@ -79,7 +80,7 @@ def sign(folder: Path, value: object, tag: Tag, by: str) -> bytes:
 
 def refused(sim: Simulation, act: Callable[[], object], where: str | None = None) -> None:
     """Assert the reason, one record of it, and that nothing else is another than before."""
-    store, mid = sim.gate.ledger.store, worlds.mission().mid
+    store, mid = sim.gate.ledger.store, scenarios.mission().mid
     size, before = len(store.rows()), sim.gate.management.standing(mid)
     with pytest.raises(AuthGuardError) as caught:
         act()
@@ -113,9 +114,9 @@ def test_a_mission_beyond_its_signer_s_certificate_is_not_activated(
     robots, regions, where = OUTSIDE[name]
     by = certified(folder, Role.OPERATOR, robots, regions)
     sim = gate(folder)
-    token = sign(folder, worlds.mission(issuer=by), Tag.MISSION, by)
+    token = sign(folder, scenarios.mission(issuer=by), Tag.MISSION, by)
     refused(sim, lambda: sim.gate.management.activate(token), where)
-    assert worlds.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
 
 
 @pytest.mark.parametrize(
@@ -132,22 +133,22 @@ def test_a_mission_inside_its_signer_s_certificate_is_carried_out(
 ) -> None:
     by = certified(folder, Role.OPERATOR, robots, regions)
     sim = gate(folder)
-    token = sign(folder, worlds.mission(issuer=by), Tag.MISSION, by)
+    token = sign(folder, scenarios.mission(issuer=by), Tag.MISSION, by)
     assert sim.gate.management.activate(token).status == "active"
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
 
 
 def test_a_next_version_that_leaves_the_certificate_changes_nothing(folder: Path) -> None:
     by = certified(folder, Role.OPERATOR, ("courier-1",), REGIONS)
     sim = gate(folder)
-    first = worlds.mission(issuer=by)
+    first = scenarios.mission(issuer=by)
     sim.gate.management.activate(sign(folder, first, Tag.MISSION, by))
-    grants = [dict(grant) for grant in worlds.draft()["grants"]]
+    grants = [dict(grant) for grant in scenarios.draft()["grants"]]
     grants[0]["rows"] = [
         *grants[0]["rows"],
         {"source": "office-2", "destination": "pharmacy", "regions": ["office-2", "pharmacy"]},
     ]
-    wider = worlds.mission(
+    wider = scenarios.mission(
         issuer=by, version=2, supersedes=digest_of(Tag.MISSION, first), grants=grants
     )
     assert "office-2" in wider.regions
@@ -169,8 +170,8 @@ def test_an_instance_beyond_its_scheduler_s_or_its_issuer_s_certificate_is_not_m
         regions = ("dock",)
     wide: tuple[Where, Where] = (None, None)
     issuer = certified(folder, Role.OPERATOR, *((robots, regions) if narrow == "issuer" else wide))
-    template = deliveries.edited((("issuer",), issuer))
-    hashed = deliveries.digest(template)
+    template = templates.edited((("issuer",), issuer))
+    hashed = templates.digest(template)
     scheduler = certified(
         folder,
         Role.SCHEDULER,
@@ -179,22 +180,22 @@ def test_an_instance_beyond_its_scheduler_s_or_its_issuer_s_certificate_is_not_m
     )
     sim = gate(folder)
     sim.gate.management.template(sign(folder, template, Tag.TEMPLATE, issuer))
-    made = deliveries.instance(template=hashed)
-    token = deliveries.token(made, by=scheduler, at=folder)
+    made = templates.instance(template=hashed)
+    token = templates.token(made, by=scheduler, at=folder)
     refused(sim, lambda: sim.gate.management.activate(token))
     assert sim.gate.management.standing(made.mid) is None
     other = certified(folder, Role.SCHEDULER, None, None, template=hashed)
     if narrow == "scheduler":
         again = gate(folder)
         again.gate.management.template(sign(folder, template, Tag.TEMPLATE, issuer))
-        token = deliveries.token(made, by=other, at=folder)
+        token = templates.token(made, by=other, at=folder)
         assert again.gate.management.activate(token).status == "active"
 
 
 def withdrawal(folder: Path, hashed: str, by: str) -> bytes:
     value = Command(
         verb=Verb.WITHDRAW,
-        mid=deliveries.template().template,
+        mid=templates.template().template,
         version=1,
         mission=hashed,
         nonce=b64(by.encode()),
@@ -207,8 +208,8 @@ def test_a_safety_officer_of_another_robot_withdraws_no_template(folder: Path) -
     foreign = certified(folder, Role.SAFETY_OFFICER, ("lifter-1",), None)
     own = certified(folder, Role.SAFETY_OFFICER, ("courier-1",), ())
     sim = gate(folder)
-    sim.gate.management.template(sign(folder, deliveries.template(), Tag.TEMPLATE, "operator-1"))
-    hashed = deliveries.digest()
+    sim.gate.management.template(sign(folder, templates.template(), Tag.TEMPLATE, "operator-1"))
+    hashed = templates.digest()
     refused(sim, lambda: sim.gate.management.template(withdrawal(folder, hashed, foreign)))
     assert sim.gate.management.template(withdrawal(folder, hashed, own)).withdrawn
 
@@ -235,7 +236,7 @@ def test_a_safety_officer_of_another_robot_gives_no_order_here(
 ) -> None:
     by = certified(folder, Role.SAFETY_OFFICER, robots, None)
     own = certified(folder, Role.SAFETY_OFFICER, ("courier-1",), ())
-    sim, mission = gate(folder), worlds.mission()
+    sim, mission = gate(folder), scenarios.mission()
     sim.gate.management.activate(sign(folder, mission, Tag.MISSION, "operator-1"))
     refused(sim, lambda: sim.gate.management.command(order(folder, mission, verb, by)))
     assert sim.gate.management.standing(mission.mid).status == "active"
@@ -279,9 +280,9 @@ def test_a_supervisor_who_has_no_say_there_chooses_nothing(
     own = certified(folder, Role.SUPERVISOR, ("courier-1",), row)
     grants = [
         {**grant, "chooser": "supervisor"} if grant["id"] == "go-to-pharmacy" else grant
-        for grant in worlds.draft()["grants"]
+        for grant in scenarios.draft()["grants"]
     ]
-    sim, mission = gate(folder), worlds.mission(grants=grants)
+    sim, mission = gate(folder), scenarios.mission(grants=grants)
     sim.gate.management.activate(sign(folder, mission, Tag.MISSION, "operator-1"))
     data = choice(folder, mission, "go-to-pharmacy", by)
     refused(sim, lambda: sim.gate.management.select(data))
@@ -295,7 +296,7 @@ def test_a_supervisor_who_has_no_say_there_chooses_nothing(
 
 def asked(folder: Path) -> tuple[Bench, Scene]:
     """Return the scene in which two supervisors are asked about the isolation room."""
-    bench = Bench(folder, worlds.site(), worlds.binding(), worlds.START_MS)
+    bench = Bench(folder, scenarios.site(), scenarios.binding(), scenarios.START_MS)
     scene = restricted(bench)
     assert reasons(scene) == ["APPROVAL_REQUIRED"]
     return bench, scene
@@ -348,11 +349,11 @@ def test_the_denial_of_a_supervisor_who_has_no_say_there_does_not_count(folder: 
 def test_a_mission_s_verified_issuer_says_what_its_certificate_names(folder: Path) -> None:
     by = certified(folder, Role.OPERATOR, ("courier-1",), REGIONS)
     sim = gate(folder)
-    sim.gate.management.activate(sign(folder, worlds.mission(issuer=by), Tag.MISSION, by))
+    sim.gate.management.activate(sign(folder, scenarios.mission(issuer=by), Tag.MISSION, by))
     verified = sim.gate.ledger.run(sim.gate.enforcer.intake.active_mission)
     assert verified.issuer.scope.robots == frozenset({"courier-1"})
     assert verified.issuer.scope.regions == frozenset(REGIONS)
     narrow = msgspec.structs.replace(verified.issuer.scope, regions=frozenset())
-    assert narrow.covers(worlds.RID)
-    assert not narrow.covers(worlds.RID, ["dock"])
-    assert not narrow.covers(worlds.OTHER)
+    assert narrow.covers(scenarios.RID)
+    assert not narrow.covers(scenarios.RID, ["dock"])
+    assert not narrow.covers(scenarios.OTHER)

@@ -18,15 +18,15 @@ from itertools import combinations, product
 import pytest
 from msgspec import Struct
 
-import worlds
 from authguard_r.anchoring.notary import NotaryPolicy
 from authguard_r.assembly import Simulation
 from authguard_r.core.reasons import Reason
 from authguard_r.store.memory import MemoryStore
-from gates import until
-from logs import edited, rechained, root_of
-from restarts import copied
-from witnesses import SmallWitness, begin, policy
+from fixtures import scenarios
+from fixtures.gate_process import until
+from fixtures.restarting_gate import copied
+from fixtures.small_logs import edited, rechained, root_of
+from fixtures.small_witness import SmallWitness, begin, policy
 
 NAMES = ("one", "two", "three")
 HOUR_MS = 3_600_000
@@ -63,11 +63,11 @@ def life() -> Iterator[Life]:
         witnesses = tuple(stack.enter_context(SmallWitness(name)) for name in NAMES)
         sim = begin(MemoryStore(), policy(*witnesses, quorum=2))
         copies = [left_by(sim)]
-        sim.gate.management.activate(worlds.token())
+        sim.gate.management.activate(scenarios.token())
         for number in range(6):
             copies.append(left_by(sim))
             goal = "pharmacy" if number == 2 else "station-103"
-            worlds.propose(sim, worlds.navigate(sim.robot.state.region, goal))
+            scenarios.propose(sim, scenarios.navigate(sim.robot.state.region, goal))
             sim.gate.enforcer.stop(by="person", is_planner=False)
         sim.gate.ledger.flush(everything=True)
         sim.gate.anchor.end()
@@ -106,7 +106,7 @@ def deleted(life: Life, at: int) -> MemoryStore:
 def forked(life: Life, at: int) -> MemoryStore:
     """An older copy went on under a gate that asks nobody, until it was as long and longer."""
     size = len(life.left._rows)
-    sim = begin(rolled_back(life, at), NotaryPolicy(), at_ms=worlds.START_MS + HOUR_MS)
+    sim = begin(rolled_back(life, at), NotaryPolicy(), at_ms=scenarios.START_MS + HOUR_MS)
     while len(sim.gate.ledger.store._rows) < size + at:  # type: ignore[attr-defined]
         sim.gate.enforcer.stop(by="person", is_planner=False)
     store = left_by(sim)
@@ -138,10 +138,10 @@ LIARS = [found for count in range(len(NAMES)) for found in combinations(range(le
 
 def serves(store: MemoryStore, notary: NotaryPolicy) -> bool:
     """Return whether a gate on this store goes on; where it does not, nothing moves."""
-    sim = begin(store, notary, at_ms=worlds.START_MS + 2 * HOUR_MS)
+    sim = begin(store, notary, at_ms=scenarios.START_MS + 2 * HOUR_MS)
     try:
         why = sim.gate.anchor.why
-        report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+        report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
         refused = report.refusal is not None and report.refusal.reason is Reason.ROLLED_BACK
         assert refused is (why is not None)
         assert not refused or sim.robot.trace == []
@@ -154,6 +154,7 @@ def asked(life: Life) -> NotaryPolicy:
     return policy(*life.witnesses, quorum=2)
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.__name__)
 def test_no_store_that_was_put_there_serves_while_one_witness_does_not_lie(
     attack: Callable[[Life, int], MemoryStore], life: Life

@@ -14,8 +14,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Verb
@@ -27,9 +25,10 @@ from authguard_r.core.token import Endorsement, Token, read_token, sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, add_member
 from authguard_r.templates import KeptTemplate
-from deliveries import SET, edited, instance, signed, token, withdrawal
+from fixtures import scenarios, templates
+from fixtures.templates import SET, edited, instance, signed, token, withdrawal
 
-LATER = worlds.START_MS + 25 * deliveries.MINUTE_MS
+LATER = scenarios.START_MS + 25 * templates.MINUTE_MS
 
 
 def opened(sim: Simulation) -> list[dict[str, Any]]:
@@ -37,7 +36,7 @@ def opened(sim: Simulation) -> list[dict[str, Any]]:
 
 
 def kept(sim: Simulation, digest: str | None = None) -> KeptTemplate | None:
-    found = sim.gate.ledger.run(lambda act: act.get("template", digest or deliveries.digest()))
+    found = sim.gate.ledger.run(lambda act: act.get("template", digest or templates.digest()))
     return None if found is None else msgspec.json.decode(found, type=KeptTemplate)
 
 
@@ -50,7 +49,7 @@ def refused(sim: Simulation, act: Callable[[], object], reason: str) -> None:
     assert [record["reasons"] for record in opened(sim)[before:]] == [[reason]]
     assert kept(sim) == counted
     assert sim.gate.ledger.run(lambda act: act.active()) is None
-    report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.refusal.reason is Reason.NO_ACTIVE_MISSION
     assert sim.robot.trace == []
 
@@ -79,7 +78,7 @@ OUTSIDE: dict[str, tuple[dict[str, Any], str]] = {
     "a name with nothing of its own": ({"mid": "deliver."}, "META_MISMATCH"),
     "a longer validity": ({"expiry": to_timestamp(LATER + 1_000)}, "VALUE_OUT_OF_RANGE"),
     "an end before its beginning": (
-        {"not_before": to_timestamp(LATER), "expiry": to_timestamp(worlds.START_MS)},
+        {"not_before": to_timestamp(LATER), "expiry": to_timestamp(scenarios.START_MS)},
         "SCHEMA_INVALID",
     ),
     "no instant": ({"expiry": "2026-02-30T00:00:00Z"}, "SCHEMA_INVALID"),
@@ -97,7 +96,7 @@ OUTSIDE: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("attack", OUTSIDE)
 def test_an_instance_that_says_more_than_was_signed_is_refused(attack: str) -> None:
     changes, reason = OUTSIDE[attack]
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     data = token(instance(**changes))
     refused(sim, lambda: sim.gate.management.activate(data), reason)
 
@@ -106,65 +105,65 @@ def test_every_combination_of_two_holes_is_in_the_card_and_no_other() -> None:
     """Holes are independent: the signer was shown every cross, so every cross is taken."""
     for package in ("package-p1", "package-p2"):
         for station in ("station-101", "station-102", "station-103"):
-            sim = deliveries.admitted()
+            sim = templates.admitted()
             fill = {"package": package, "station": station}
             assert sim.gate.management.activate(token(instance(fill=fill))).status == "active"
 
 
 def narrow() -> Any:
     """A second template of the same operator: its holes and name are its own."""
-    holes = {**deliveries.template().holes}
+    holes = {**templates.template().holes}
     holes["station"] = SET(holes["station"], values=("station-102",))
     return edited(holes=holes, template="narrow")
 
 
 @pytest.fixture(scope="module")
 def two() -> Any:
-    return deliveries.folder(deliveries.template(), narrow())
+    return templates.folder(templates.template(), narrow())
 
 
 def test_the_certificate_for_another_template_fills_nothing(two: Any) -> None:
-    sim = deliveries.admitted(two)
+    sim = templates.admitted(two)
     sim.gate.management.template(signed(narrow()))
     data = token(by="scheduler-1", at=two)
     refused(sim, lambda: sim.gate.management.activate(data), "ROLE_DENIED")
 
 
 def test_an_instance_of_another_template_than_its_certificate_s_is_refused(two: Any) -> None:
-    sim = deliveries.admitted(two)
+    sim = templates.admitted(two)
     sim.gate.management.template(signed(narrow()))
-    other = instance(template=deliveries.digest(narrow()), mid="narrow.1")
+    other = instance(template=templates.digest(narrow()), mid="narrow.1")
     data = token(other, by="scheduler-0", at=two)
     refused(sim, lambda: sim.gate.management.activate(data), "ROLE_DENIED")
 
 
 def test_a_template_that_is_not_here_fills_nothing(two: Any) -> None:
-    sim = deliveries.admitted(two)
-    other = instance(template=deliveries.digest(narrow()), mid="narrow.1")
+    sim = templates.admitted(two)
+    other = instance(template=templates.digest(narrow()), mid="narrow.1")
     data = token(other, by="scheduler-1", at=two)
     refused(sim, lambda: sim.gate.management.activate(data), "MISSION_UNKNOWN")
 
 
 def test_a_second_endorsement_bound_to_another_template_spoils_the_token(two: Any) -> None:
     """One principal with two certificates: each must be bound to this very template."""
-    at = deliveries.folder(deliveries.template())
+    at = templates.folder(templates.template())
     member = Member(
         id="scheduler-9",
         role=Role.SCHEDULER,
         robots=None,
         regions=None,
-        template=deliveries.digest(narrow()),
+        template=templates.digest(narrow()),
     )
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
     add_member(at, member, now=begin, days=30)
     keys = at / "keys"
     for kind in ("key", "cert"):
         (keys / f"spare.{kind}.pem").write_bytes((keys / f"scheduler-9.{kind}.pem").read_bytes())
         (keys / f"scheduler-9.{kind}.pem").unlink()
-    add_member(at, SET(member, template=deliveries.digest()), now=begin, days=30)
+    add_member(at, SET(member, template=templates.digest()), now=begin, days=30)
     first, second = (read_token(token(by=name, at=at)) for name in ("scheduler-9", "spare"))
     both = encode_fast(SET(first, endorsements=(*first.endorsements, *second.endorsements)))
-    sim = deliveries.admitted(at)
+    sim = templates.admitted(at)
     refused(sim, lambda: sim.gate.management.activate(both), "ISSUER_MISMATCH")
     whole = encode_fast(SET(first, endorsements=first.endorsements * 2))
     assert sim.gate.management.activate(whole).status == "active"
@@ -174,50 +173,50 @@ def test_a_second_endorsement_bound_to_another_template_spoils_the_token(two: An
     "by", ["operator-1", "supervisor-1", "safety-officer-1", "site-authority-1"]
 )
 def test_nobody_but_a_scheduler_signs_an_instance(by: str) -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     refused(sim, lambda: sim.gate.management.activate(token(by=by)), "ROLE_DENIED")
 
 
 def test_a_scheduler_signs_no_mission_of_its_own() -> None:
-    sim, scheduler = deliveries.admitted(), folder_signer(deliveries.one_folder(), "scheduler-0")
+    sim, scheduler = templates.admitted(), folder_signer(templates.one_folder(), "scheduler-0")
     for issuer in ("operator-1", "scheduler-0"):
-        mission = SET(worlds.mission(), issuer=issuer)
+        mission = SET(scenarios.mission(), issuer=issuer)
         data = sign_object(mission, Tag.MISSION, scheduler)
         refused(sim, lambda data=data: sim.gate.management.activate(data), "ROLE_DENIED")
 
 
 def test_a_scheduler_gives_no_order_and_signs_no_template() -> None:
-    sim, scheduler = deliveries.admitted(), folder_signer(deliveries.one_folder(), "scheduler-0")
+    sim, scheduler = templates.admitted(), folder_signer(templates.one_folder(), "scheduler-0")
     own = sign_object(narrow(), Tag.TEMPLATE, scheduler)
     refused(sim, lambda: sim.gate.management.template(own), "ROLE_DENIED")
-    order = withdrawal(by="scheduler-0", at=deliveries.one_folder())
+    order = withdrawal(by="scheduler-0", at=templates.one_folder())
     refused(sim, lambda: sim.gate.management.template(order), "ROLE_DENIED")
     refused(sim, lambda: sim.gate.management.command(order), "ROLE_DENIED")
 
 
 def test_a_scheduler_s_certificate_without_a_template_fills_nothing() -> None:
-    at = deliveries.folder()
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    at = templates.folder()
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
     add_member(
         at,
         Member(id="anything", role=Role.SCHEDULER, robots=None, regions=None),
         now=begin,
         days=30,
     )
-    sim = deliveries.admitted(at)
+    sim = templates.admitted(at)
     data = token(by="anything", at=at)
     refused(sim, lambda: sim.gate.management.activate(data), "ROLE_DENIED")
 
 
 @pytest.mark.parametrize("by", ["supervisor-1", "site-authority-1", "witness-1"])
 def test_a_template_signed_by_somebody_who_issues_no_missions_is_refused(by: str) -> None:
-    sim = deliveries.simulation()
+    sim = templates.simulation()
     mine = edited((("issuer",), by))
     refused(sim, lambda: sim.gate.management.template(signed(mine, by=by)), "ROLE_DENIED")
 
 
 def test_a_template_in_another_operator_s_name_is_refused() -> None:
-    sim = deliveries.simulation()
+    sim = templates.simulation()
     refused(sim, lambda: sim.gate.management.template(signed(by="operator-2")), "ISSUER_MISMATCH")
 
 
@@ -232,44 +231,44 @@ def test_a_template_in_another_operator_s_name_is_refused() -> None:
 def test_a_template_for_another_robot_profile_or_site_is_refused(
     field: str, value: str, reason: str
 ) -> None:
-    sim = deliveries.simulation()
+    sim = templates.simulation()
     other = edited(((field,), value))
     refused(sim, lambda: sim.gate.management.template(signed(other)), reason)
 
 
 def test_a_template_that_ended_is_refused() -> None:
-    sim = deliveries.simulation()
+    sim = templates.simulation()
     old = edited(not_after="2020-01-01T00:00:00Z")
     refused(sim, lambda: sim.gate.management.template(signed(old)), "EXPIRED")
 
 
 def test_a_template_is_taken_in_once() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     refused(sim, lambda: sim.gate.management.template(signed()), "TRANSITION_REFUSED")
 
 
 def test_an_instance_is_no_mission_and_a_mission_no_instance() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     made = read_token(token())
     relabeled = encode_fast(SET(made, kind=Tag.MISSION))
     refused(sim, lambda: sim.gate.management.activate(relabeled), "SIGNATURE_INVALID")
-    mission = encode_fast(SET(read_token(worlds.token()), kind=Tag.INSTANCE))
+    mission = encode_fast(SET(read_token(scenarios.token()), kind=Tag.INSTANCE))
     refused(sim, lambda: sim.gate.management.activate(mission), "MALFORMED")
     refused(sim, lambda: sim.gate.management.template(token()), "WRONG_KIND")
     refused(sim, lambda: sim.gate.management.activate(signed()), "WRONG_KIND")
 
 
 def test_a_changed_instance_is_not_its_scheduler_s() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     good, other = read_token(token()), read_token(token(instance(2)))
     forged = encode_fast(SET(good, payload=other.payload))
     refused(sim, lambda: sim.gate.management.activate(forged), "SIGNATURE_INVALID")
 
 
 def test_a_replayed_instance_is_refused_and_not_counted_twice() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
-    deliveries.delivered(sim, FILL)
+    templates.delivered(sim, FILL)
     with pytest.raises(AuthGuardError) as error:
         sim.gate.management.activate(token())
     assert error.value.reason is Reason.MISSION_COMPLETED
@@ -280,7 +279,7 @@ def test_a_replayed_instance_is_refused_and_not_counted_twice() -> None:
 
 
 def test_a_second_instance_waits_for_the_first_to_end() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
     with pytest.raises(AuthGuardError) as error:
         sim.gate.management.activate(token(instance(2)))
@@ -290,58 +289,58 @@ def test_a_second_instance_waits_for_the_first_to_end() -> None:
 
 def test_no_more_instances_are_made_than_were_signed_for() -> None:
     few = edited(instances=2)
-    at = deliveries.folder(few)
-    sim = deliveries.simulation(at)
+    at = templates.folder(few)
+    sim = templates.simulation(at)
     sim.gate.management.template(signed(few))
     for number in (1, 2):
-        made = instance(number, template=deliveries.digest(few))
+        made = instance(number, template=templates.digest(few))
         sim.gate.management.activate(token(made, at=at))
-        deliveries.delivered(sim, FILL)
+        templates.delivered(sim, FILL)
         bring_back(sim)
-    third = token(instance(3, template=deliveries.digest(few)), at=at)
+    third = token(instance(3, template=templates.digest(few)), at=at)
     with pytest.raises(AuthGuardError) as error:
         sim.gate.management.activate(third)
     assert error.value.reason is Reason.STARTS_EXHAUSTED
-    assert kept(sim, deliveries.digest(few)).used == 2  # type: ignore[union-attr]
+    assert kept(sim, templates.digest(few)).used == 2  # type: ignore[union-attr]
 
 
 def bring_back(sim: Simulation) -> None:
     """Somebody carries the packages back to the pharmacy."""
-    sim.robot.state = worlds.world()
+    sim.robot.state = scenarios.world()
 
 
 def test_a_window_s_rate_is_held_across_a_restart(tmp_path: Any) -> None:
-    slow = edited(rate=SET(deliveries.template().rate, count=1))
-    at = deliveries.folder(slow)
-    sim = deliveries.simulation(at, store=tmp_path / "robot.db")
+    slow = edited(rate=SET(templates.template().rate, count=1))
+    at = templates.folder(slow)
+    sim = templates.simulation(at, store=tmp_path / "robot.db")
     sim.gate.management.template(signed(slow))
-    first = instance(1, template=deliveries.digest(slow))
+    first = instance(1, template=templates.digest(slow))
     sim.gate.management.activate(token(first, at=at))
-    deliveries.delivered(sim, FILL)
+    templates.delivered(sim, FILL)
     end = sim.robot.wall_ms()
     sim.gate.close()
-    again = deliveries.simulation(at, store=tmp_path / "robot.db", start_ms=end)
-    second = token(instance(2, template=deliveries.digest(slow)), at=at)
+    again = templates.simulation(at, store=tmp_path / "robot.db", start_ms=end)
+    second = token(instance(2, template=templates.digest(slow)), at=at)
     with pytest.raises(AuthGuardError) as error:
         again.gate.management.activate(second)
     assert error.value.reason is Reason.RATE_EXCEEDED
-    again.robot.pause(60 * deliveries.MINUTE_MS)
+    again.robot.pause(60 * templates.MINUTE_MS)
     late = again.robot.wall_ms()
     window = {"not_before": to_timestamp(late), "expiry": to_timestamp(late + 600_000)}
-    third = token(instance(3, template=deliveries.digest(slow), **window), at=at)
+    third = token(instance(3, template=templates.digest(slow), **window), at=at)
     assert again.gate.management.activate(third).status == "active"
     again.gate.close()
 
 
 def test_a_withdrawn_template_ends_its_active_mission_and_makes_none_again() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
-    go = worlds.navigate("dock", "pharmacy")
-    assert worlds.propose(sim, go).outcome == "succeeded"
+    go = scenarios.navigate("dock", "pharmacy")
+    assert scenarios.propose(sim, go).outcome == "succeeded"
     held = sim.gate.management.template(withdrawal())
     assert (held.withdrawn, held.used, held.instances) == (True, 1, 50)
     assert sim.gate.management.standing("deliver.1").status == "revoked"  # type: ignore[union-attr]
-    assert worlds.propose(sim, go).refusal.reason is Reason.NO_ACTIVE_MISSION
+    assert scenarios.propose(sim, go).refusal.reason is Reason.NO_ACTIVE_MISSION
     for act in (
         lambda: sim.gate.management.activate(token(instance(2))),
         lambda: sim.gate.management.template(signed()),
@@ -355,26 +354,26 @@ def test_a_withdrawn_template_ends_its_active_mission_and_makes_none_again() -> 
 
 
 def test_a_withdrawn_template_ends_no_mission_that_was_not_made_of_it() -> None:
-    sim = deliveries.admitted()
-    sim.gate.management.activate(worlds.token())
+    sim = templates.admitted()
+    sim.gate.management.activate(scenarios.token())
     sim.gate.management.template(withdrawal(by="safety-officer-1"))
     assert sim.gate.management.standing("deliver-p1").status == "active"  # type: ignore[union-attr]
-    assert worlds.propose(sim, worlds.navigate("dock", "pharmacy")).outcome == "succeeded"
+    assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome == "succeeded"
 
 
 def test_withdrawing_one_template_leaves_the_mission_of_another(two: Any) -> None:
-    sim = deliveries.admitted(two)
+    sim = templates.admitted(two)
     sim.gate.management.template(signed(narrow()))
     sim.gate.management.activate(token(at=two))
     sim.gate.management.template(withdrawal(narrow()))
     assert sim.gate.management.standing("deliver.1").status == "active"  # type: ignore[union-attr]
-    assert worlds.propose(sim, worlds.navigate("dock", "pharmacy")).outcome == "succeeded"
+    assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome == "succeeded"
 
 
 def test_withdrawing_after_the_last_mission_ended_revokes_nothing() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
-    deliveries.delivered(sim, FILL)
+    templates.delivered(sim, FILL)
     sim.gate.management.template(withdrawal())
     assert sim.gate.management.standing("deliver.1").status == "completed"  # type: ignore[union-attr]
 
@@ -384,7 +383,7 @@ def test_withdrawing_after_the_last_mission_ended_revokes_nothing() -> None:
     [
         ({}, "operator-2", "ROLE_DENIED"),
         ({}, "supervisor-1", "ROLE_DENIED"),
-        ({"expires_ms": worlds.START_MS - 1}, "operator-1", "EXPIRED"),
+        ({"expires_ms": scenarios.START_MS - 1}, "operator-1", "EXPIRED"),
         ({"mission": "A" * 43}, "operator-1", "MISSION_UNKNOWN"),
         ({"verb": Verb.REVOKE}, "operator-1", "TRANSITION_REFUSED"),
     ],
@@ -392,7 +391,7 @@ def test_withdrawing_after_the_last_mission_ended_revokes_nothing() -> None:
 def test_a_withdrawal_that_is_nobody_s_to_give_changes_nothing(
     changes: dict[str, Any], by: str, reason: str
 ) -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     order = withdrawal(by=by, **changes)
     refused(sim, lambda: sim.gate.management.template(order), reason)
     assert sim.gate.management.activate(token()).status == "active"
@@ -400,8 +399,8 @@ def test_a_withdrawal_that_is_nobody_s_to_give_changes_nothing(
 
 def test_a_withdrawal_is_no_order_about_a_mission() -> None:
     """Even one that names a real mission and its digest: the verb is of templates."""
-    sim = deliveries.admitted()
-    standing = sim.gate.management.activate(worlds.token())
+    sim = templates.admitted()
+    standing = sim.gate.management.activate(scenarios.token())
     order = withdrawal(mid="deliver-p1", mission=standing.digest)
     with pytest.raises(AuthGuardError) as error:
         sim.gate.management.command(order)
@@ -410,7 +409,7 @@ def test_a_withdrawal_is_no_order_about_a_mission() -> None:
 
 
 def test_the_confirmation_of_something_else_beside_an_instance_activates_nothing() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     refused(sim, lambda: sim.gate.management.activate(token(), confirmation=b"{}"), "META_MISMATCH")
 
 
@@ -419,15 +418,15 @@ def test_after_a_certificate_is_revoked_neither_new_nor_cached_missions_go_on(
     tmp_path: Any, who: str
 ) -> None:
     """Lists are read when a gate starts; both people's certificates carry the mission."""
-    at = deliveries.folder()
-    sim = deliveries.admitted(at, store=tmp_path / "robot.db")
+    at = templates.folder()
+    sim = templates.admitted(at, store=tmp_path / "robot.db")
     sim.gate.management.activate(token(at=at))
     end = sim.robot.wall_ms()
     sim.gate.close()
     revoke(at, who)
-    again = deliveries.simulation(at, store=tmp_path / "robot.db", start_ms=end)
-    go = worlds.navigate("dock", "pharmacy")
-    assert worlds.propose(again, go).refusal.reason is Reason.CERTIFICATE_REVOKED
+    again = templates.simulation(at, store=tmp_path / "robot.db", start_ms=end)
+    go = scenarios.navigate("dock", "pharmacy")
+    assert scenarios.propose(again, go).refusal.reason is Reason.CERTIFICATE_REVOKED
     with pytest.raises(AuthGuardError) as error:
         again.gate.management.activate(token(instance(2), at=at))
     assert error.value.reason is Reason.CERTIFICATE_REVOKED
@@ -445,25 +444,25 @@ def revoke(at: Any, who: str) -> None:
 
     leaf = x509.load_pem_x509_certificates((at / "keys" / f"{who}.cert.pem").read_bytes())[0]
     key = load_pem_private_key((at / "keys" / "people.key.pem").read_bytes(), None)
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
     serials = (leaf.serial_number,)
     write_revocations(at, "people", key, serials=serials, now=begin, number=2, days=30)  # type: ignore[arg-type]
 
 
 def test_a_mission_ends_with_the_scheduler_s_certificate_too() -> None:
-    at = deliveries.folder()
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    at = templates.folder()
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
     short = Member(
-        id="brief", role=Role.SCHEDULER, robots=None, regions=None, template=deliveries.digest()
+        id="brief", role=Role.SCHEDULER, robots=None, regions=None, template=templates.digest()
     )
     add_member(at, short, now=begin, days=1)
-    sim = deliveries.admitted(at)
+    sim = templates.admitted(at)
     standing = sim.gate.management.activate(token(by="brief", at=at))
     mission = sim.gate.ledger.run(
         lambda act: sim.gate.enforcer.intake.mission(act, standing.digest)
     )
     assert mission.issuer.id == "operator-1"
-    assert mission.issuer.usable_until_ms == worlds.START_MS + 86_400_000
+    assert mission.issuer.usable_until_ms == scenarios.START_MS + 86_400_000
 
 
 def restarted(sim: Simulation) -> Simulation:
@@ -483,7 +482,7 @@ TAMPERED: dict[str, tuple[Callable[[bytes], bytes], str]] = {
         ),
         "STORE_CORRUPT",
     ),
-    "the token of a plain mission": (lambda _: worlds.token(), "STORE_CORRUPT"),
+    "the token of a plain mission": (lambda _: scenarios.token(), "STORE_CORRUPT"),
     "a pair that is none": (lambda pair: pair[:-1], "STORE_CORRUPT"),
     "another template": (
         lambda pair: pair.replace(
@@ -505,54 +504,54 @@ TAMPERED: dict[str, tuple[Callable[[bytes], bytes], str]] = {
 @pytest.mark.parametrize("attack", TAMPERED)
 def test_what_was_tampered_with_in_the_store_authorizes_nothing(attack: str) -> None:
     change, reason = TAMPERED[attack]
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     standing = sim.gate.management.activate(token())
     key = ("token", standing.digest)
     before = held(sim)[key]
     held(sim)[key] = change(before)
     assert held(sim)[key] != before
-    report = worlds.propose(restarted(sim), worlds.navigate("dock", "pharmacy"))
+    report = scenarios.propose(restarted(sim), scenarios.navigate("dock", "pharmacy"))
     assert str(report.refusal.reason) == reason
     assert sim.robot.trace == []
 
 
 def test_a_kept_template_that_is_another_makes_no_mission() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     other = KeptTemplate(token=signed(narrow()).decode().strip())
-    held(sim)["template", deliveries.digest()] = encode_fast(other)
+    held(sim)["template", templates.digest()] = encode_fast(other)
     refused(sim, lambda: sim.gate.management.activate(token()), "MISSION_UNKNOWN")
 
 
 def test_a_kept_template_that_is_none_is_the_store_s_corruption() -> None:
-    sim = deliveries.admitted()
-    held(sim)["template", deliveries.digest()] = b"{}"
+    sim = templates.admitted()
+    held(sim)["template", templates.digest()] = b"{}"
     with pytest.raises(AuthGuardError) as error:
         sim.gate.management.activate(token())
     assert error.value.reason is Reason.STORE_CORRUPT
 
 
 def test_after_a_restart_the_mission_is_verified_from_both_tokens() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
-    deliveries.delivered(restarted(sim), FILL)
+    templates.delivered(restarted(sim), FILL)
     assert sim.gate.management.standing("deliver.1").status == "completed"  # type: ignore[union-attr]
 
 
 def test_a_template_gone_from_the_store_takes_its_mission_along() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
-    del held(sim)["template", deliveries.digest()]
-    report = worlds.propose(restarted(sim), worlds.navigate("dock", "pharmacy"))
+    del held(sim)["template", templates.digest()]
+    report = scenarios.propose(restarted(sim), scenarios.navigate("dock", "pharmacy"))
     assert report.refusal.reason is Reason.MISSION_UNKNOWN
 
 
 def test_the_operator_may_change_a_running_instance_by_its_own_signature() -> None:
     """An instance is a mission: version 2 of it is the issuer's to sign, not the scheduler's."""
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     standing = sim.gate.management.activate(token())
     made = sim.gate.ledger.run(lambda act: sim.gate.enforcer.intake.mission(act, standing.digest))
     second = SET(made.mission, version=2, supersedes=standing.digest, nonce=b64(bytes(16)))
-    assert sim.gate.management.activate(worlds.token(second)).version == 2
+    assert sim.gate.management.activate(scenarios.token(second)).version == 2
     third = token(instance(1, nonce="C" * 22))
     with pytest.raises(AuthGuardError) as error:
         sim.gate.management.activate(third)
@@ -560,7 +559,7 @@ def test_the_operator_may_change_a_running_instance_by_its_own_signature() -> No
 
 
 def test_a_scheduler_cannot_fill_the_memory_with_missions_that_are_refused() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
     for number in range(2, 40):
         with pytest.raises(AuthGuardError):
@@ -572,7 +571,7 @@ def test_the_endorsements_of_an_instance_are_at_least_one() -> None:
     bare = encode_fast(
         Token(kind=Tag.INSTANCE, payload=read_token(token()).payload, endorsements=())
     )
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     refused(sim, lambda: sim.gate.management.activate(bare), "MALFORMED")
     assert isinstance(read_token(token()).endorsements[0], Endorsement)
-    assert digest_of(Tag.TEMPLATE, deliveries.template()) == deliveries.digest()
+    assert digest_of(Tag.TEMPLATE, templates.template()) == templates.digest()

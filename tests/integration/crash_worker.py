@@ -20,7 +20,6 @@ from typing import Any
 
 import msgspec
 
-import worlds
 from authguard_r.assembly import Simulation, folder_signer, simulate
 from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
@@ -30,11 +29,12 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.ports import Flight
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object
+from fixtures import scenarios
 
 SCAN = Action(type="scan_obstacles", tool="lidar", params={})
 TELL = Action(type="announce", tool="speaker", params={})
 #: Nobody granted that: decided, recorded, never released.
-DRIVE = worlds.navigate("dock", "pharmacy")
+DRIVE = scenarios.navigate("dock", "pharmacy")
 #: What an operator may say of a release that nobody saw the end of.
 RESOLUTIONS = (Outcome.SUCCEEDED, Outcome.FAILED, Outcome.ABORTED, Outcome.NOT_STARTED)
 
@@ -51,9 +51,9 @@ def gate(folder: Path, order: Order) -> Simulation:
     """Return the whole gate that the order asks for."""
     return simulate(
         folder,
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
         start_ms=order.start_ms,
         store=Path(order.store),
     )
@@ -110,7 +110,7 @@ def live(folder: Path, token: bytes, order: Order, parent: int) -> None:
     else:
         settle(sim, folder, dice)
     while os.getppid() == parent:
-        report = worlds.propose(sim, dice.choices((SCAN, TELL, DRIVE), (5, 3, 2))[0])
+        report = scenarios.propose(sim, dice.choices((SCAN, TELL, DRIVE), (5, 3, 2))[0])
         if report.refusal is not None or not report.outcome_recorded:
             say(f"fault {report}")
         say(f"acked {report.seq} {'-' if report.outcome is None else report.outcome}")
@@ -143,5 +143,5 @@ def main(folder: Path, token: bytes) -> None:
 
 
 if __name__ == "__main__":
-    worlds.site(), worlds.binding()  # read once, before the first fork
+    scenarios.site(), scenarios.binding()  # read once, before the first fork
     main(Path(sys.argv[1]), Path(sys.argv[2]).read_bytes())

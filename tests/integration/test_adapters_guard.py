@@ -20,19 +20,34 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.adapters import Failed, Guard, NotDone, Refused, Repeated, functions
 from authguard_r.client import GateClient
 from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.messages import ClientRole, Mode
-from gates import AUTHGUARD, until
-from guarded import SCOPE, SIGN, Courier, courier, often
+from fixtures import scenarios
+from fixtures.gate_process import AUTHGUARD, RunningGate, until
+from fixtures.guarded_tools import (
+    SCOPE,
+    SIGN,
+    Courier,
+    confirm_stop,
+    courier,
+    often,
+    shared_courier,
+)
+from fixtures.shared_gate import SharedGate
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Courier]:
-    with courier(tmp_path) as made:
+def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
+    with shared_courier(shared, tmp_path) as made:
         yield made
 
 
@@ -350,7 +365,9 @@ def stopped_in_flight(robot: Courier, *, stops: Any) -> tuple[Failed, dict[str, 
         assert isinstance(refused(guard, "scan"), NotDone)
         assert len(robot.calls()) == before
         robot.go.set()
-        return told, stood
+    if not stood["stopped"]:
+        confirm_stop(robot.gate)  # another test would find the stop that nobody confirmed
+    return told, stood
 
 
 def test_an_async_function_that_is_stopped_is_canceled(robot: Courier) -> None:
@@ -379,9 +396,14 @@ def test_an_async_function_that_is_stopped_is_canceled(robot: Courier) -> None:
         asyncio.run(talk(guard))
 
 
-def test_eight_threads_with_a_thousand_calls_lose_and_reorder_nothing(tmp_path: Path) -> None:
+def test_eight_threads_with_a_thousand_calls_lose_and_reorder_nothing(
+    shared: SharedGate, tmp_path: Path
+) -> None:
     count, threads = 1_000, 8
-    with courier(tmp_path, activate=False) as robot, robot.connect() as guard:
+    with (
+        shared_courier(shared, tmp_path, activate=False) as robot,
+        robot.connect() as guard,
+    ):
         robot.gate.activate(often(robot.gate, count=count))
         done: list[tuple[int, int]] = []
 
@@ -406,13 +428,17 @@ def test_eight_threads_with_a_thousand_calls_lose_and_reorder_nothing(tmp_path: 
         assert [number for who, number in done if who == thread] == list(each)
 
 
-def test_a_gate_that_is_killed_in_mid_call_is_told_and_found_again(robot: Courier) -> None:
+def test_a_gate_that_is_killed_in_mid_call_is_told_and_found_again(tmp_path: Path) -> None:
     def scan() -> str:
         robot.made("scan")
         robot.go.wait()
         return "x"
 
-    with robot.connect() as guard, ThreadPoolExecutor(1) as pool:
+    with (
+        courier(tmp_path) as robot,
+        robot.connect() as guard,
+        ThreadPoolExecutor(1) as pool,
+    ):
         guard.register("scan", scan)
         guard.register("navigate_to", robot.navigate_to)
         asked = pool.submit(refused, guard, "scan")
@@ -548,12 +574,16 @@ def test_a_guard_in_shadow_mode_does_not_go_past_a_gate_that_enforces(robot: Cou
         robot.connect(shadow=True)
 
 
-def test_a_gate_that_does_not_come_is_said(robot: Courier, tmp_path: Path) -> None:
-    robot.gate.stop_process("gate")
-    with pytest.raises(EnvironmentFault, match="the gate did not come in time"):
-        robot.connect(within_s=0.5)
-    with pytest.raises(EnvironmentFault, match="expected a folder"):
-        robot.connect(run=tmp_path / "nowhere")
+def test_a_gate_that_does_not_come_is_said(tmp_path: Path) -> None:
+    gate = RunningGate()  # it is never started
+    robot = Courier(gate, tmp_path)
+    try:
+        with pytest.raises(EnvironmentFault, match="the gate did not come in time"):
+            robot.connect(within_s=0.5)
+        with pytest.raises(EnvironmentFault, match="expected a folder"):
+            robot.connect(run=tmp_path / "nowhere")
+    finally:
+        gate.end()
 
 
 def test_a_guard_that_is_closed_says_so(robot: Courier) -> None:
@@ -625,12 +655,12 @@ def test_a_caller_whose_loop_has_ended_leaves_nothing_begun(robot: Courier) -> N
         asyncio.run(leave(guard))
         robot.go.set()
         first.result()
-        until(lambda: any(r.kind == "outcome" for r in robot.gate.records()[-1:]), "the outcome")
+        until(lambda: any(r.kind == "outcome" for r in robot.gate.news()[-1:]), "the outcome")
     assert robot.calls() == []
 
 
 def test_a_function_has_to_return_what_the_binding_demands(tmp_path: Path) -> None:
-    plain = read_yaml(read_text(worlds.HOSPITAL / "binding.yaml"), where="binding")
+    plain = read_yaml(read_text(scenarios.HOSPITAL / "binding.yaml"), where="binding")
     assert isinstance(plain, dict)
     plain["tools"]["scan"]["succeeds"] = {"success": True}
     binding = tmp_path / "binding.json"

@@ -17,17 +17,17 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.wire.messages import Mode
-from gates import environment, until
-from guarded import SCOPE, SIGN, Courier, courier
-from scripted_model import Call, ScriptedModel
+from fixtures import scenarios
+from fixtures.gate_process import environment, until
+from fixtures.guarded_tools import SCOPE, SIGN, Courier, courier
+from fixtures.scripted_model import Call, ScriptedModel
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_INSPECT", "")
 pytestmark = pytest.mark.skipif(
     not ENVIRONMENT, reason="AUTHGUARD_INSPECT names no environment (.ci/run makes one)"
 )
-WORKER = worlds.ROOT / "tests" / "inspect_worker.py"
+WORKER = scenarios.ROOT / "tests" / "programs" / "inspect_worker.py"
 PHARMACY = ("navigate_to", '{"destination": "Pharmacy", "speed": null}')
 HIJACK = ("navigate_to", '{"destination": "Isolation Room"}')
 #: Inspect keeps the last of two: that one is what the gate decides on, and all that can run.
@@ -66,7 +66,7 @@ def work(robot: Courier, *turns: Any, policy: str | None = POLICY, **more: Any) 
         done = subprocess.run(
             [Path(ENVIRONMENT) / "bin" / "python", WORKER, json.dumps(given)],
             env={**environment(measured=False), "PYTHONPATH": ""},
-            cwd=worlds.ROOT,
+            cwd=scenarios.ROOT,
             capture_output=True,
             text=True,
             check=False,
@@ -259,7 +259,7 @@ def test_the_example_runs_as_it_is_written(robot: Courier) -> None:
         done = subprocess.run(
             [str(word) for word in (Path(ENVIRONMENT) / "bin" / "inspect", *words)],
             env={**environment(measured=False), "PYTHONPATH": "", "LOCAL_API_KEY": "none"},
-            cwd=worlds.ROOT,
+            cwd=scenarios.ROOT,
             capture_output=True,
             text=True,
             check=False,

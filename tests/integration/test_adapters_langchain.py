@@ -35,13 +35,20 @@ from authguard_r.adapters import Guard, Refused
 from authguard_r.adapters.langchain import GuardedTool, _fields, guard_tools
 from authguard_r.core.errors import MalformedError
 from authguard_r.wire.messages import Mode
-from gates import until
-from guarded import SCOPE, SIGN, Courier, courier, often
+from fixtures.gate_process import until
+from fixtures.guarded_tools import SCOPE, SIGN, Courier, courier, often, shared_courier
+from fixtures.shared_gate import SharedGate
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Courier]:
-    with courier(tmp_path, activate=False) as made:
+def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
+    with shared_courier(shared, tmp_path, activate=False) as made:
         made.gate.activate(often(made.gate))
         yield made
 
@@ -306,7 +313,7 @@ def test_a_tool_that_fails_has_failed_and_the_model_is_told(
     for message in (made.invoke(called("scan")), awaited.invoke(called("scan"))):
         assert message.status == "error"
         assert said in message.content
-    ended = [r.decision for r in robot.gate.records() if r.kind == "outcome"]
+    ended = [r.decision for r in robot.gate.news() if r.kind == "outcome"]
     assert ended == ["failed"] * 2
 
 

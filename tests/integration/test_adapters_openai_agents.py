@@ -32,14 +32,15 @@ from agents import (
 from agents.tool_context import ToolContext
 from openai import AsyncOpenAI
 
-import worlds
 from authguard_r.adapters import Failed, Guard
 from authguard_r.adapters.openai_agents import guard_agent, guard_tools
 from authguard_r.core.errors import MalformedError
 from authguard_r.wire.messages import Mode
-from gates import until
-from guarded import SCOPE, SIGN, Courier, courier
-from scripted_model import Call, ScriptedModel
+from fixtures import scenarios
+from fixtures.gate_process import until
+from fixtures.guarded_tools import SCOPE, SIGN, Courier, courier, shared_courier
+from fixtures.scripted_model import Call, ScriptedModel
+from fixtures.shared_gate import SharedGate
 
 PHARMACY = ("navigate_to", '{"destination": "Pharmacy", "speed": null}')
 HIJACK = ("navigate_to", '{"destination": "Isolation Room", "speed": null}')
@@ -47,13 +48,19 @@ TWICE = ("navigate_to", '{"destination": "Isolation Room", "destination": "Pharm
 SCAN = ("scan", "{}")
 WENT = {"tool": "navigate_to", "arguments": {"destination": "Pharmacy", "speed": 0.5}}
 SCANNED = {"tool": "scan", "arguments": {}}
-EXAMPLE = worlds.ROOT / "examples" / "adapters" / "openai_agents_courier.py"
+EXAMPLE = scenarios.ROOT / "examples" / "adapters" / "openai_agents_courier.py"
 CALLED = ["called: scan", "called: navigate_to Pharmacy at 0.5 m/s"]
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
+
+
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Courier]:
-    with courier(tmp_path) as made:
+def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
+    with shared_courier(shared, tmp_path) as made:
         yield made
 
 
@@ -144,9 +151,7 @@ def run_plain(tools: list[Any]) -> dict[str, Any]:
         '["Pharmacy"]',
         '{"destination": "Pharmacy", "speed": 1e400}',
         '{"destination": "Pharmacy", "speed": "0.5"}',
-        "navigate_to(destination='Pharmacy')",
         "",
-        '{"destination": "Pharmacy", "label": null}',
     ],
 )
 def test_forged_labels_and_broken_arguments_are_told_and_nothing_is_called(
@@ -178,7 +183,7 @@ def test_a_plan_in_the_place_of_arguments_is_no_plan(robot: Courier) -> None:
         for text in (plan, plan.encode(), plan + " " * 40_000 + "!"):
             guard.unreadable("", text).result()
     assert len(until(lambda: robot.gate.refusals("MALFORMED"), "the record")) >= 1
-    assert [r for r in robot.gate.records() if r.decision == "accept"] == []
+    assert [r for r in robot.gate.news() if r.decision == "accept"] == []
     assert robot.calls() == []
 
 
@@ -200,12 +205,12 @@ def test_calls_of_one_answer_are_each_decided_on(robot: Courier) -> None:
     ]
 
 
-def test_a_gate_that_dies_is_told_and_nothing_is_called_any_more(robot: Courier) -> None:
+def test_a_gate_that_dies_is_told_and_nothing_is_called_any_more(tmp_path: Path) -> None:
     def kill() -> list[Call]:
         robot.gate.kill9()
         return [SCAN, PHARMACY]
 
-    with robot.connect() as guard:
+    with courier(tmp_path) as robot, robot.connect() as guard:
         model = run(guard, courier_tools(robot), [SCAN], kill)
     assert robot.calls() == [SCANNED]
     assert all(told.startswith(("refused: ", "unknown: ")) for told in model.told[1:])
@@ -285,7 +290,6 @@ def test_l1_no_public_way_runs_the_tool_past_the_gate(robot: Courier, way: str) 
         found = ways(tool, agent)
         assert tuple(found) == WAYS
         found[way]()
-        robot.gate.mark()
     assert robot.calls() == []
 
 
@@ -384,8 +388,7 @@ def test_a_tools_fault_is_worded_by_its_own_policy_and_the_gate_hears_of_it(
     with robot.connect() as guard:
         model = run(guard, failing(robot), [SCAN])
         assert model.told == ["An error occurred while running the tool. Please try again."]
-    outcomes = [r.open.get("outcome") for r in robot.gate.records() if r.kind == "completion"]
-    assert "succeeded" not in outcomes
+    assert [r.decision for r in robot.gate.news() if r.kind == "outcome"] == ["failed", "failed"]
 
 
 def test_a_tool_whose_faults_end_the_run_ends_it(robot: Courier) -> None:

@@ -2,7 +2,8 @@
 """The real RAI behind a gate: its agent and tools, its connector, rclpy, and a robot that listens.
 
 RAI and rclpy are heavy, so they have an environment of their own, which `.ci/run` makes;
-`AUTHGUARD_RAI` names its folder. What PyPI has no wheels of, tests/ros_absent.py stands in for.
+`AUTHGUARD_RAI` names its folder. tests/programs/without_ros_packages.py stands in for
+packages that PyPI has no wheels of.
 Source: lessons L1, L16; docs/spec/adapters.md
 """
 
@@ -17,20 +18,20 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.wire.messages import Mode
-from gates import RunningGate, environment, until
-from guarded import SCOPE
-from robots import asked_in, gate_of, run_in
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, environment, until
+from fixtures.guarded_tools import SCOPE
+from fixtures.packaged_robots import asked_in, gate_of, run_in
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_RAI", "")
 pytestmark = pytest.mark.skipif(
     not ENVIRONMENT, reason="AUTHGUARD_RAI names no environment (.ci/run makes one)"
 )
 PYTHON = Path(ENVIRONMENT) / "bin" / "python"
-TESTS = worlds.ROOT / "tests"
-ABSENT = TESTS / "ros_absent.py"
-FOLDER = worlds.ROOT / "examples" / "adapters"
+TESTS = scenarios.ROOT / "tests"
+ABSENT = TESTS / "programs" / "without_ros_packages.py"
+FOLDER = scenarios.ROOT / "examples" / "adapters"
 BINDING = FOLDER / "rai.yaml"
 SLOWLY: dict[str, Any] = {
     "id": "leave-dock",
@@ -67,7 +68,7 @@ def arrived(tmp_path: Path, ros: dict[str, str]) -> Iterator[Path]:
     """Let a robot listen; yield the file of what arrives."""
     file = tmp_path / "arrived.jsonl"
     file.touch()
-    words = [PYTHON, TESTS / "ros_robot.py", file]
+    words = [PYTHON, TESTS / "programs" / "ros_robot.py", file]
     env = {**environment(measured=False), **ros}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=env) as process:
         try:
@@ -148,7 +149,7 @@ def test_l1_every_tool_of_rai_is_guarded_or_refused_and_its_agent_has_no_other(
     gate: RunningGate, ros: dict[str, str]
 ) -> None:
     """All 24 of this version's ROS 2 tool kits; another version has to be looked at anew."""
-    words = [ABSENT, TESTS / "robot_tools.py", "rai_courier", *options(gate)]
+    words = [ABSENT, TESTS / "programs" / "list_robot_tools.py", "rai_courier", *options(gate)]
     told = asked_in(PYTHON, *words, "--binding", BINDING, variables=ros)
     assert len(told["guarded"]) + len(told["refused"]) == 24
     assert set(told["refused"].values()) == {"TOOL_UNKNOWN"}

@@ -15,18 +15,18 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.wire.messages import Mode
-from gates import RunningGate, until
-from robots import asked_in, gate_of, run_in
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, until
+from fixtures.packaged_robots import asked_in, gate_of, run_in
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_ROSA", "")
 pytestmark = pytest.mark.skipif(
     not ENVIRONMENT, reason="AUTHGUARD_ROSA names no environment (.ci/run makes one)"
 )
 PYTHON = Path(ENVIRONMENT) / "bin" / "python"
-EXAMPLE = worlds.ROOT / "examples" / "adapters" / "rosa_courier.py"
+EXAMPLE = scenarios.ROOT / "examples" / "adapters" / "rosa_courier.py"
 GRANTS = (
     {"id": "list", "type": "read_metadata", "tool": "ros2_node_list", "rows": [{}]},
     {"id": "ask", "type": "describe", "tool": "ros2_node_info", "rows": [{"object": "lidar"}]},
@@ -112,7 +112,11 @@ def test_l1_every_tool_of_rosa_is_guarded_or_refused_and_its_agent_has_no_other(
     gate: RunningGate,
 ) -> None:
     """All 47 of this version; another version has to be looked at anew."""
-    words = [worlds.ROOT / "tests" / "robot_tools.py", "rosa_courier", *options(gate)]
+    words = [
+        scenarios.ROOT / "tests" / "programs" / "list_robot_tools.py",
+        "rosa_courier",
+        *options(gate),
+    ]
     told = asked_in(PYTHON, *words, "--binding", "rosa")
     assert len(told["guarded"]) + len(told["refused"]) == 47
     assert set(told["guarded"]) <= set(binding_source("rosa")["tools"])

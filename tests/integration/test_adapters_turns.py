@@ -16,14 +16,21 @@ import pytest
 
 from authguard_r.adapters import Failed, Guard, Refused, turns
 from authguard_r.adapters.turns import Turn, register
-from guarded import SCOPE, SIGN, Courier, courier
+from fixtures.guarded_tools import SCOPE, SIGN, Courier, shared_courier
+from fixtures.shared_gate import SharedGate
 
 SCANNED = {"tool": "scan", "arguments": {}}
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
+
+
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Courier]:
-    with courier(tmp_path) as made:
+def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
+    with shared_courier(shared, tmp_path) as made:
         yield made
 
 

@@ -15,9 +15,6 @@ import msgspec
 import pytest
 from cryptography import x509
 
-import asking
-import deliveries
-import worlds
 from authguard_r.approvals import answer
 from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import read_record
@@ -34,6 +31,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import read_authority, write_revocations
 from authguard_r.keys.signer import open_key_file
 from authguard_r.normalize import normalize
+from fixtures import approvals, scenarios, templates
 from missionpair.bench import Bench, Scene, calls, make_bench, world
 from missionpair.suite import at_dock, wide, with_grant
 
@@ -59,7 +57,7 @@ def refused(bench: Bench, scene: Scene, token: bytes) -> str:
     with pytest.raises(AuthGuardError) as error:
         scene.sim.gate.management.approve(token)
     assert scene.standing() == before
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
     return str(error.value.reason)
 
@@ -67,8 +65,8 @@ def refused(bench: Bench, scene: Scene, token: bytes) -> str:
 def worthless(bench: Bench, scene: Scene, token: bytes) -> str:
     """Hand in an authentic answer that counts for nothing; return the code that says why."""
     item = scene.sim.gate.management.approve(token)
-    why = asking.questions(scene).answered(item)["why_not"]
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    why = approvals.questions(scene).answered(item)["why_not"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
     return str(why)
 
@@ -77,22 +75,22 @@ def worthless(bench: Bench, scene: Scene, token: bytes) -> str:
 
 
 def test_the_public_corridor_asks_one(bench: Bench) -> None:
-    scene = asking.scene(bench, "pharmacy")
-    assert asking.outcome(scene) == []
+    scene = approvals.scene(bench, "pharmacy")
+    assert approvals.outcome(scene) == []
     assert moved(scene)
-    decided = asking.records(scene, "decision")[-1]["open"]
+    decided = approvals.records(scene, "decision")[-1]["open"]
     assert (decided["required"], used_up(scene)) == (1, (1, 0))
     assert "approvers" not in decided
 
 
 def test_a_restricted_area_asks_an_operator_and_a_supervisor(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    assert [r.required for r in asking.requests(scene).values()] == [2]
-    asking.hand_in(bench, scene, "supervisor-1")
-    assert asking.outcome(scene) == []
+    scene = approvals.scene(bench, "isolation-room")
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert [r.required for r in approvals.requests(scene).values()] == [2]
+    approvals.hand_in(bench, scene, "supervisor-1")
+    assert approvals.outcome(scene) == []
     assert moved(scene)
-    assert asking.records(scene, "decision")[-1]["open"]["approvers"] == [
+    assert approvals.records(scene, "decision")[-1]["open"]["approvers"] == [
         {"by": "supervisor-1", "role": "supervisor", "kind": "individual", "verdict": "approve"}
     ]
 
@@ -106,20 +104,20 @@ def test_hazardous_material_asks_t_of_n(bench: Bench) -> None:
         sim=bench.simulation(state=world(bench, "station-102")), mission=mission, plan=plan
     )
     scene.sim.gate.management.activate(bench.sign(mission))
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    assert [r.required for r in asking.requests(scene).values()] == [3]
-    asking.hand_in(bench, scene, "supervisor-1")
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert [r.required for r in approvals.requests(scene).values()] == [3]
+    approvals.hand_in(bench, scene, "supervisor-1")
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert scene.sim.robot.state.holding is None
-    asking.hand_in(bench, scene, "safety-officer-1")
-    assert asking.outcome(scene) == []
+    approvals.hand_in(bench, scene, "safety-officer-1")
+    assert approvals.outcome(scene) == []
     assert scene.sim.robot.state.holding == "sharps-bin"
 
 
 def interlocked(bench: Bench, *to: str) -> Scene:
     """A person nearby is what the interlock watches: t people, unless attested state shows none."""
     near = {"variable": "human_distance_mm", "lt": 2_000, "max_age": "1 s"}
-    return asking.scene(bench, *to, states=[{"guard": near, "weight": 30}])
+    return approvals.scene(bench, *to, states=[{"guard": near, "weight": 30}])
 
 
 def somebody_comes(scene: Scene) -> None:
@@ -131,18 +129,18 @@ def somebody_comes(scene: Scene) -> None:
 def test_an_interlock_asks_t_of_n_while_it_is_open(bench: Bench) -> None:
     scene = interlocked(bench, "isolation-room")
     somebody_comes(scene)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    assert [r.required for r in asking.requests(scene).values()] == [3]
-    asking.hand_in(bench, scene, "supervisor-1", "supervisor-2")
-    assert asking.outcome(scene) == []
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert [r.required for r in approvals.requests(scene).values()] == [3]
+    approvals.hand_in(bench, scene, "supervisor-1", "supervisor-2")
+    assert approvals.outcome(scene) == []
 
 
 def test_an_old_approval_does_not_count_in_a_changed_state(bench: Bench) -> None:
     scene = interlocked(bench, "isolation-room")
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1", "supervisor-2")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1", "supervisor-2")
     somebody_comes(scene)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     standing = scene.standing()
     assert (standing.counter, standing.prompts, standing.actions) == (2, 2, 0)
     assert not moved(scene)
@@ -152,85 +150,85 @@ def test_an_old_approval_does_not_count_in_a_changed_state(bench: Bench) -> None
 
 
 def test_an_approval_for_room_a_is_refused_in_room_b(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room", "office-1")
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1", "supervisor-2")
-    scene.plan = asking.plan("office-1")
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    scene = approvals.scene(bench, "isolation-room", "office-1")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1", "supervisor-2")
+    scene.plan = approvals.plan("office-1")
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
     assert used_up(scene) == (0, 1)
 
 
 def test_another_speed_is_another_question(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1")
-    scene.plan = asking.plan("isolation-room", 0.7)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1")
+    scene.plan = approvals.plan("isolation-room", 0.7)
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert scene.standing().counter == 2
 
 
 def test_t_minus_one_stolen_keys_move_nothing(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room", tau_2=31, t=4)
-    asking.outcome(scene)
+    scene = approvals.scene(bench, "isolation-room", tau_2=31, t=4)
+    approvals.outcome(scene)
     for _ in range(3):  # the same two keys, as often as they like
-        asking.hand_in(bench, scene, "supervisor-1", "supervisor-2")
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+        approvals.hand_in(bench, scene, "supervisor-1", "supervisor-2")
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
     assert used_up(scene) == (0, 1)
 
 
 def test_the_missions_signature_never_covers_more_than_one(bench: Bench) -> None:
     """It is the issuer's one approval of a class of actions: whatever needs two needs another."""
-    scene = asking.scene(bench, "isolation-room")
+    scene = approvals.scene(bench, "isolation-room")
     for _ in range(3):
-        assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+        assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
 
 
 @pytest.mark.parametrize("role", [Role.OPERATOR, Role.SUPERVISOR])
 def test_the_issuer_never_counts_twice(bench: Bench, role: Role) -> None:
     roles = ["operator", "safety_officer", "supervisor"]
-    scene = asking.scene(bench, "isolation-room", roles=roles)
-    asking.outcome(scene)
-    again = asking.key_of(bench.folder, "operator-1", role)  # another key, the same person
-    token = asking.signed(bench, asking.approval(scene), again)
+    scene = approvals.scene(bench, "isolation-room", roles=roles)
+    approvals.outcome(scene)
+    again = approvals.key_of(bench.folder, "operator-1", role)  # another key, the same person
+    token = approvals.signed(bench, approvals.approval(scene), again)
     assert worthless(bench, scene, token) == "ISSUER_MISMATCH"
 
 
 def test_one_key_under_two_names_is_one_person(bench: Bench) -> None:
     """The authority gave the issuer's key, and an approver's, a second name."""
-    scene = asking.scene(bench, "isolation-room", tau_2=31, t=3)
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1")
-    own = asking.approval(scene)
+    scene = approvals.scene(bench, "isolation-room", tau_2=31, t=3)
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1")
+    own = approvals.approval(scene)
     for holder in ("operator-1", "supervisor-1"):
         (key,) = open_key_file(bench.folder / "keys" / f"{holder}.key.pem")
-        shadow = asking.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
-        token = asking.signed(bench, own, shadow)
+        shadow = approvals.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
+        token = approvals.signed(bench, own, shadow)
         assert refused(bench, scene, token) == "ISSUER_MISMATCH"
     assert used_up(scene) == (0, 1)
-    asking.hand_in(bench, scene, "supervisor-2")
-    assert asking.outcome(scene) == []
+    approvals.hand_in(bench, scene, "supervisor-2")
+    assert approvals.outcome(scene) == []
 
 
 def test_a_second_name_denies_like_any_other(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1")
     (key,) = open_key_file(bench.folder / "keys" / "operator-1.key.pem")
-    shadow = asking.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
-    no = asking.signed(bench, asking.approval(scene, verdict=Verdict.DENY), shadow)
+    shadow = approvals.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
+    no = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), shadow)
     item = scene.sim.gate.management.approve(no, why="no")
     assert item.approver.id == "shadow"
-    assert asking.outcome(scene) == ["APPROVAL_DENIED"]
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
     assert not moved(scene)
 
 
 def test_an_approval_binds_robot_and_mission_version(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    own = asking.approval(scene)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    own = approvals.approval(scene)
     for changes, why in (
         ({"rid": "lifter-1"}, "ROBOT_MISMATCH"),
         ({"version": 2}, "SUPERSEDED"),
@@ -242,18 +240,18 @@ def test_an_approval_binds_robot_and_mission_version(bench: Bench) -> None:
         ({"counter": 2}, "APPROVAL_TIMEOUT"),
         ({"mid": "another"}, "APPROVAL_TIMEOUT"),
     ):
-        token = asking.signed(bench, msgspec.structs.replace(own, **changes), "supervisor-1")
+        token = approvals.signed(bench, msgspec.structs.replace(own, **changes), "supervisor-1")
         assert worthless(bench, scene, token) == why, changes
 
 
 def test_approvals_die_with_the_version_that_they_were_for(bench: Bench) -> None:
-    draft = asking.draft(bench, "isolation-room")
-    scene = at_dock(bench, draft, asking.plan("isolation-room"))
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1")
+    draft = approvals.draft(bench, "isolation-room")
+    scene = at_dock(bench, draft, approvals.plan("isolation-room"))
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1")
     next_one = bench.mission({**draft, "version": 2, "supersedes": scene.digest})
     scene.sim.gate.management.activate(bench.sign(next_one))
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert scene.standing().counter == 2
     assert not moved(scene)
 
@@ -262,13 +260,13 @@ def test_approvals_die_with_the_version_that_they_were_for(bench: Bench) -> None
 
 
 def test_the_wrong_role_is_no_answer(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    own = asking.approval(scene)
-    operator = asking.key_of(bench.folder, "operator-2", Role.OPERATOR)
-    assert worthless(bench, scene, asking.signed(bench, own, operator)) == "ROLE_DENIED"
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    own = approvals.approval(scene)
+    operator = approvals.key_of(bench.folder, "operator-2", Role.OPERATOR)
+    assert worthless(bench, scene, approvals.signed(bench, own, operator)) == "ROLE_DENIED"
     for machine in ("gate-courier-1", "estimator-courier-1", "site-authority-1"):
-        assert refused(bench, scene, asking.signed(bench, own, machine)) == "ROLE_DENIED"
+        assert refused(bench, scene, approvals.signed(bench, own, machine)) == "ROLE_DENIED"
 
 
 @pytest.mark.parametrize(
@@ -280,38 +278,38 @@ def test_the_wrong_role_is_no_answer(bench: Bench) -> None:
     ],
 )
 def test_the_wrong_scope_is_no_answer(bench: Bench, scope: dict[str, Any]) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    near = asking.key_of(bench.folder, "supervisor-9", Role.SUPERVISOR, **scope)
-    token = asking.signed(bench, asking.approval(scene), near)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    near = approvals.key_of(bench.folder, "supervisor-9", Role.SUPERVISOR, **scope)
+    token = approvals.signed(bench, approvals.approval(scene), near)
     assert worthless(bench, scene, token) == "SIGNER_OUT_OF_SCOPE"
 
 
 def test_a_scope_that_names_robot_and_regions_is_enough(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    near = asking.key_of(
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    near = approvals.key_of(
         bench.folder,
         "supervisor-9",
         Role.SUPERVISOR,
         robots=("courier-1",),
         regions=("dock", "isolation-room"),
     )
-    asking.hand_in(bench, scene, near)
-    assert asking.outcome(scene) == []
+    approvals.hand_in(bench, scene, near)
+    assert approvals.outcome(scene) == []
 
 
 def test_a_group_counts_as_its_threshold_and_the_log_names_it(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room", tau_2=31)
-    asking.outcome(scene)
+    scene = approvals.scene(bench, "isolation-room", tau_2=31)
+    approvals.outcome(scene)
     members = ("supervisor-1", "supervisor-2", "supervisor-3")
-    group = asking.key_of(
+    group = approvals.key_of(
         bench.folder, "night-shift", Role.SUPERVISOR, threshold=2, members=members
     )
-    asking.hand_in(bench, scene, group)
-    (question,) = asking.questions(scene).told(None).requests
+    approvals.hand_in(bench, scene, group)
+    (question,) = approvals.questions(scene).told(None).requests
     assert (question.behind, question.required, question.denied) == (3, 3, False)
-    assert asking.outcome(scene) == []
+    assert approvals.outcome(scene) == []
     named = {
         "by": "night-shift",
         "role": "supervisor",
@@ -319,35 +317,35 @@ def test_a_group_counts_as_its_threshold_and_the_log_names_it(bench: Bench) -> N
         "threshold": 2,
         "members": list(members),
     }
-    decided = asking.records(scene, "decision")[-1]["open"]
+    decided = approvals.records(scene, "decision")[-1]["open"]
     assert decided["approvers"] == [{**named, "verdict": "approve"}]
-    answered = [r["open"] for r in asking.records(scene, "management") if "verdict" in r["open"]]
+    answered = [r["open"] for r in approvals.records(scene, "management") if "verdict" in r["open"]]
     assert answered == [{"verb": "answer", **named, "verdict": "approve", "counter": 1}]
 
 
 def test_a_groups_members_are_not_counted_beside_it(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room", tau_2=31, t=4)
-    asking.outcome(scene)
-    group = asking.key_of(
+    scene = approvals.scene(bench, "isolation-room", tau_2=31, t=4)
+    approvals.outcome(scene)
+    group = approvals.key_of(
         bench.folder,
         "night-shift",
         Role.SUPERVISOR,
         threshold=2,
         members=("supervisor-1", "supervisor-2"),
     )
-    asking.hand_in(bench, scene, group, "supervisor-1", "supervisor-2")
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    (question,) = asking.questions(scene).told(None).requests
+    approvals.hand_in(bench, scene, group, "supervisor-1", "supervisor-2")
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    (question,) = approvals.questions(scene).told(None).requests
     assert question.behind == 3
 
 
 def test_a_group_in_which_only_the_issuer_is_left_stands_for_nobody(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    group = asking.key_of(
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    group = approvals.key_of(
         bench.folder, "alone", Role.SUPERVISOR, threshold=1, members=("operator-1",)
     )
-    token = asking.signed(bench, asking.approval(scene), group)
+    token = approvals.signed(bench, approvals.approval(scene), group)
     assert worthless(bench, scene, token) == "ISSUER_MISMATCH"
 
 
@@ -355,9 +353,9 @@ def test_a_group_in_which_only_the_issuer_is_left_stands_for_nobody(bench: Bench
 
 
 def test_truncated_and_malleated_answers_are_refused(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    good = asking.signed(bench, asking.approval(scene), "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    good = approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     token = read_token(good)
     (endorsed,) = token.endorsements
     raw = bytearray(unb64(endorsed.signature))
@@ -392,23 +390,23 @@ def _with(token: Any, **changes: Any) -> bytes:
 
 
 def test_a_token_of_another_kind_is_no_answer(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    command = asking.signed(bench, asking.approval(scene), "supervisor-1", tag=Tag.SELECTION)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    command = approvals.signed(bench, approvals.approval(scene), "supervisor-1", tag=Tag.SELECTION)
     assert refused(bench, scene, command) == "WRONG_KIND"
     renamed = command.replace(b"authguard-r/selection/1", b"authguard-r/approval/1")
     assert refused(bench, scene, renamed) == "SIGNATURE_INVALID"
 
 
 def test_a_foreign_and_a_cross_signed_answer_are_refused(bench: Bench, tmp_path: Path) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
     other = make_bench(tmp_path / "other")
-    own = asking.approval(scene)
-    foreign = asking.signed(other, own, "supervisor-1")
+    own = approvals.approval(scene)
+    foreign = approvals.signed(other, own, "supervisor-1")
     assert refused(bench, scene, foreign) == "CERTIFICATE_INVALID"
     # somebody else's authority below our root's name, and our leaf below theirs
-    ours, theirs = read_token(asking.signed(bench, own, "supervisor-1")), read_token(foreign)
+    ours, theirs = read_token(approvals.signed(bench, own, "supervisor-1")), read_token(foreign)
     (mine,), (strange,) = ours.endorsements, theirs.endorsements
     for chain, signature in (
         ((strange.chain[0], mine.chain[1]), strange.signature),
@@ -424,32 +422,32 @@ def test_a_foreign_and_a_cross_signed_answer_are_refused(bench: Bench, tmp_path:
 
 
 def test_two_people_in_one_token_are_no_two_answers(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room", tau_2=31)
-    asking.outcome(scene)
-    own = asking.approval(scene)
-    one, two = (read_token(asking.signed(bench, own, f"supervisor-{n}")) for n in (1, 2))
+    scene = approvals.scene(bench, "isolation-room", tau_2=31)
+    approvals.outcome(scene)
+    own = approvals.approval(scene)
+    one, two = (read_token(approvals.signed(bench, own, f"supervisor-{n}")) for n in (1, 2))
     both = msgspec.structs.replace(one, endorsements=(*one.endorsements, *two.endorsements))
     token = msgspec.json.encode(both, order="sorted")
     assert refused(bench, scene, token) in {"ISSUER_MISMATCH", "SIGNATURE_INVALID"}
 
 
 def test_a_duplicated_answer_is_one(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room", tau_2=31)
-    asking.outcome(scene)
-    token = asking.signed(bench, asking.approval(scene), "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room", tau_2=31)
+    approvals.outcome(scene)
+    token = approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     for data in (token, token, token.strip(), token):
         scene.sim.gate.management.approve(data)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    (question,) = asking.questions(scene).told(None).requests
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    (question,) = approvals.questions(scene).told(None).requests
     assert (question.behind, len(question.answers)) == (2, 1)
 
 
 def test_one_principal_fills_no_store_with_answers_and_can_deny_all_the_same(bench: Bench) -> None:
-    at = asking.scene(bench, "isolation-room")
-    asking.outcome(at)
-    first = asking.approval(at)
+    at = approvals.scene(bench, "isolation-room")
+    approvals.outcome(at)
+    first = approvals.approval(at)
     for less_ms in range(_MOST_ANSWERS):
-        hand_in = asking.signed(
+        hand_in = approvals.signed(
             bench,
             msgspec.structs.replace(first, expires_ms=first.expires_ms - less_ms),
             "supervisor-1",
@@ -458,21 +456,22 @@ def test_one_principal_fills_no_store_with_answers_and_can_deny_all_the_same(ben
         at.sim.gate.management.approve(hand_in)  # nothing new
     more = msgspec.structs.replace(first, expires_ms=first.expires_ms - _MOST_ANSWERS)
     with pytest.raises(RefusedError) as refused:
-        at.sim.gate.management.approve(asking.signed(bench, more, "supervisor-1"))
+        at.sim.gate.management.approve(approvals.signed(bench, more, "supervisor-1"))
     assert (refused.value.reason, refused.value.where) == (Reason.BUSY, "approval")
-    asking.hand_in(bench, at, "supervisor-2")  # somebody else's answer is not in the way
-    asking.hand_in(bench, at, "supervisor-1", verdict=Verdict.DENY)
-    assert asking.outcome(at) == ["APPROVAL_DENIED"]
+    approvals.hand_in(bench, at, "supervisor-2")  # somebody else's answer is not in the way
+    approvals.hand_in(bench, at, "supervisor-1", verdict=Verdict.DENY)
+    assert approvals.outcome(at) == ["APPROVAL_DENIED"]
 
 
+@pytest.mark.complete
 def test_an_expired_certificate_answers_nothing(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    short = asking.key_of(bench.folder, "supervisor-8", Role.SUPERVISOR, days=1)
-    token = asking.signed(bench, asking.approval(scene), short)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    short = approvals.key_of(bench.folder, "supervisor-8", Role.SUPERVISOR, days=1)
+    token = approvals.signed(bench, approvals.approval(scene), short)
     scene.sim.gate.management.approve(token)
     scene.sim.robot.pause(25 * 3_600_000)
-    assert "EXPIRED" in asking.outcome(scene)
+    assert "EXPIRED" in approvals.outcome(scene)
     with pytest.raises(AuthGuardError, match="EXPIRED"):
         scene.sim.gate.management.approve(token)
     assert not moved(scene)
@@ -482,62 +481,62 @@ def test_an_expired_certificate_answers_nothing(bench: Bench) -> None:
 
 
 def test_a_replayed_answer_counts_for_no_second_action(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    token = asking.signed(bench, asking.approval(scene), "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    token = approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     scene.sim.gate.management.approve(token)
-    assert asking.outcome(scene) == []
+    assert approvals.outcome(scene) == []
     item = scene.sim.gate.management.approve(token)
-    assert asking.questions(scene).answered(item)["why_not"] == "APPROVAL_TIMEOUT"
-    assert asking.requests(scene) == {}
+    assert approvals.questions(scene).answered(item)["why_not"] == "APPROVAL_TIMEOUT"
+    assert approvals.requests(scene) == {}
     assert scene.standing().actions == 1
 
 
 def test_an_answer_is_used_once_across_restarts(bench: Bench, tmp_path: Path) -> None:
-    draft = asking.draft(bench, "isolation-room")
+    draft = approvals.draft(bench, "isolation-room")
     mission = bench.mission(draft)
     store = tmp_path / "robot.db"
     scene = Scene(
-        sim=bench.simulation(store=store), mission=mission, plan=asking.plan("isolation-room")
+        sim=bench.simulation(store=store), mission=mission, plan=approvals.plan("isolation-room")
     )
     scene.sim.gate.management.activate(bench.sign(mission))
-    asking.outcome(scene)
-    token = asking.signed(bench, asking.approval(scene), "supervisor-1")
+    approvals.outcome(scene)
+    token = approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     scene.sim.gate.management.approve(token)
     scene.sim.gate.close()
 
     scene.sim = bench.simulation(store=store, start_ms=bench.start_ms + 2_000)
-    (question,) = asking.questions(scene).told(None).requests
+    (question,) = approvals.questions(scene).told(None).requests
     assert (question.behind, question.counter) == (2, 1)
-    assert asking.outcome(scene) == []
+    assert approvals.outcome(scene) == []
     scene.sim.gate.close()
 
     scene.sim = bench.simulation(store=store, start_ms=bench.start_ms + 200_000)
     scene.sim.gate.management.approve(token)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     standing = scene.sim.gate.management.standing(mission.mid)
     assert (standing.actions, standing.counter) == (1, 2)
     scene.sim.gate.close()
 
 
 def test_the_same_proposal_again_opens_no_second_request(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
+    scene = approvals.scene(bench, "isolation-room")
     for _ in range(4):
-        assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+        assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert (scene.standing().prompts, scene.standing().counter) == (1, 1)
-    assert next(r["open"].get("asks") for r in asking.records(scene, "decision")) == 1
+    assert next(r["open"].get("asks") for r in approvals.records(scene, "decision")) == 1
 
 
 def test_two_answers_at_once_both_count(bench: Bench, tmp_path: Path) -> None:
-    draft = asking.draft(bench, "isolation-room", tau_2=31)
+    draft = approvals.draft(bench, "isolation-room", tau_2=31)
     mission = bench.mission(draft)
     store = tmp_path / "robot.db"
     scene = Scene(
-        sim=bench.simulation(store=store), mission=mission, plan=asking.plan("isolation-room")
+        sim=bench.simulation(store=store), mission=mission, plan=approvals.plan("isolation-room")
     )
     scene.sim.gate.management.activate(bench.sign(mission))
-    asking.outcome(scene)
-    tokens = [asking.signed(bench, asking.approval(scene), f"supervisor-{n}") for n in (1, 2)]
+    approvals.outcome(scene)
+    tokens = [approvals.signed(bench, approvals.approval(scene), f"supervisor-{n}") for n in (1, 2)]
     start, faults = threading.Barrier(2), []
 
     def answers(token: bytes) -> None:
@@ -553,43 +552,43 @@ def test_two_answers_at_once_both_count(bench: Bench, tmp_path: Path) -> None:
     for thread in threads:
         thread.join(60)
     assert faults == []
-    assert asking.outcome(scene) == []
-    named = asking.records(scene, "decision")[-1]["open"]["approvers"]
+    assert approvals.outcome(scene) == []
+    named = approvals.records(scene, "decision")[-1]["open"]["approvers"]
     assert sorted(item["by"] for item in named) == ["supervisor-1", "supervisor-2"]
     scene.sim.gate.close()
 
 
 def test_a_denial_wins_whenever_it_comes(bench: Bench) -> None:
     for order in (("deny", "approve"), ("approve", "deny")):
-        scene = asking.scene(bench, "isolation-room")
-        asking.outcome(scene)
+        scene = approvals.scene(bench, "isolation-room")
+        approvals.outcome(scene)
         for number, verdict in enumerate(order, 1):
-            asking.hand_in(bench, scene, f"supervisor-{number}", verdict=Verdict(verdict))
-        (question,) = asking.questions(scene).told(None).requests
+            approvals.hand_in(bench, scene, f"supervisor-{number}", verdict=Verdict(verdict))
+        (question,) = approvals.questions(scene).told(None).requests
         assert question.denied
-        assert asking.outcome(scene) == ["APPROVAL_DENIED"]
+        assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
         assert not moved(scene)
-        named = asking.records(scene, "decision")[-1]["open"]["approvers"]
+        named = approvals.records(scene, "decision")[-1]["open"]["approvers"]
         assert {item["verdict"] for item in named} == {"approve", "deny"}
 
 
 def test_a_denial_by_nobody_who_may_answer_denies_nothing(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "operator-1", verdict=Verdict.DENY)
-    asking.hand_in(bench, scene, "supervisor-1")
-    assert asking.outcome(scene) == []
-    named = asking.records(scene, "decision")[-1]["open"]["approvers"]
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "operator-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "supervisor-1")
+    assert approvals.outcome(scene) == []
+    named = approvals.records(scene, "decision")[-1]["open"]["approvers"]
     assert [item["by"] for item in named] == ["supervisor-1"]
 
 
 def test_a_timeout_is_a_reason_of_its_own(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1")
     scene.sim.robot.pause(120_001)
-    assert asking.outcome(scene) == ["APPROVAL_TIMEOUT"]
-    assert "approvers" not in asking.records(scene, "decision")[-1]["open"]
+    assert approvals.outcome(scene) == ["APPROVAL_TIMEOUT"]
+    assert "approvers" not in approvals.records(scene, "decision")[-1]["open"]
     assert not moved(scene)
 
 
@@ -598,8 +597,8 @@ def test_a_timeout_is_a_reason_of_its_own(bench: Bench) -> None:
 
 def revoking(tmp_path: Path) -> tuple[Bench, Scene]:
     own = make_bench(tmp_path / "trust")
-    scene = asking.scene(own, "isolation-room")
-    asking.outcome(scene)
+    scene = approvals.scene(own, "isolation-room")
+    approvals.outcome(scene)
     return own, scene
 
 
@@ -618,18 +617,18 @@ def revoke(own: Bench, scene: Scene, name: str) -> None:
 
 def test_an_approver_revoked_between_asking_and_answering(tmp_path: Path) -> None:
     own, scene = revoking(tmp_path)
-    token = asking.signed(own, asking.approval(scene), "supervisor-1")
+    token = approvals.signed(own, approvals.approval(scene), "supervisor-1")
     revoke(own, scene, "supervisor-1")
     assert refused(own, scene, token) == "CERTIFICATE_REVOKED"
 
 
 def test_an_approver_revoked_between_answering_and_use(tmp_path: Path) -> None:
     own, scene = revoking(tmp_path)
-    asking.hand_in(own, scene, "supervisor-1")
+    approvals.hand_in(own, scene, "supervisor-1")
     revoke(own, scene, "supervisor-1")
-    (question,) = asking.questions(scene).told(None).requests
+    (question,) = approvals.questions(scene).told(None).requests
     assert (question.answers, question.behind) == ((), 1)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
 
 
@@ -639,9 +638,9 @@ def test_an_approver_revoked_between_answering_and_use(tmp_path: Path) -> None:
 @pytest.mark.parametrize("at", [1, 2])
 def test_a_store_that_fails_consumes_nothing_twice(bench: Bench, at: int) -> None:
     """First the answer cannot be kept, then its use; each time nothing happened, or all of it."""
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    token = asking.signed(bench, asking.approval(scene), "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    token = approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     store, count = scene.sim.gate.ledger.store, []
     run = store.run
 
@@ -655,17 +654,17 @@ def test_a_store_that_fails_consumes_nothing_twice(bench: Bench, at: int) -> Non
     if at == 1:
         with pytest.raises(StoreError):
             scene.sim.gate.management.approve(token)
-        assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+        assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     else:
         scene.sim.gate.management.approve(token)
-        assert asking.outcome(scene) == ["STORE_UNAVAILABLE"]
+        assert approvals.outcome(scene) == ["STORE_UNAVAILABLE"]
         assert used_up(scene) == (0, 1)
     assert not moved(scene)
     store.run = run  # type: ignore[method-assign]
     scene.sim.gate.management.approve(token)
-    assert asking.outcome(scene) == []
+    assert approvals.outcome(scene) == []
     assert used_up(scene) == (1, 0)
-    again = asking.outcome(scene)
+    again = approvals.outcome(scene)
     assert again != []
     assert scene.standing().actions == 1
 
@@ -685,30 +684,30 @@ def test_a_store_that_fails_consumes_nothing_twice(bench: Bench, at: int) -> Non
 def test_another_spelling_is_as_risky_or_is_refused(
     bench: Bench, arguments: dict[str, Any]
 ) -> None:
-    scene = asking.scene(bench, "isolation-room")
+    scene = approvals.scene(bench, "isolation-room")
     scene.plan = calls(("navigate_to", arguments))
     try:
         normalize(scene.plan, binder=scene.sim.binder)
     except AuthGuardError as error:
         assert str(error.reason) in {"NAME_UNKNOWN", "CLARIFICATION_NEEDED"}  # noqa: PT017
         return
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    decided = asking.records(scene, "decision")[-1]["open"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    decided = approvals.records(scene, "decision")[-1]["open"]
     assert (decided["risk"], decided["required"]) == (35, 2)
     assert not moved(scene)
 
 
 def test_a_way_around_is_as_risky_as_the_worst_of_it(bench: Bench) -> None:
     """Source, destination and route all weigh: naming a harmless end hides no room on the way."""
-    scene = asking.scene(bench, "pharmacy", "isolation-room")
-    verified = worlds.verified(scene.mission)
+    scene = approvals.scene(bench, "pharmacy", "isolation-room")
+    verified = scenarios.verified(scene.mission)
     policy, facts = verified.mission.risk_policy, scene.sim.gate.facts
     go = Action(type="navigate", tool="base", source="dock", destination="pharmacy")
     past = msgspec.structs.replace(go, route=("isolation-room",))
     out = msgspec.structs.replace(go, source="isolation-room")
     other_tool = msgspec.structs.replace(past, tool="gripper")
     scores = [
-        rho(action, policy, state=None, facts=facts, now=worlds.NOW)
+        rho(action, policy, state=None, facts=facts, now=scenarios.NOW)
         for action in (go, past, out, other_tool)
     ]
     assert scores[1:] == [scores[0] + 25] * 3
@@ -718,34 +717,34 @@ def test_a_way_around_is_as_risky_as_the_worst_of_it(bench: Bench) -> None:
 
 
 def test_the_record_of_an_asking_decision_names_its_request(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    (question,) = asking.questions(scene).told(1).requests
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    (question,) = approvals.questions(scene).told(1).requests
     rows = scene.sim.gate.ledger.peek(lambda turn: turn.rows(question.seq, 1))
     assert read_record(rows[0][1], where="record").open["asks"] == 1
 
 
 def test_an_answer_of_the_library_is_the_one_that_the_core_knows(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
     verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
-    ((grant, request),) = asking.requests(scene).items()
+    ((grant, request),) = approvals.requests(scene).items()
     made = answer(verified, grant, request, rid=scene.sim.robot.rid, verdict=Verdict.APPROVE)
     token = sign_object(made, Tag.APPROVAL, folder_signer(bench.folder, "supervisor-2"))
     assert scene.sim.gate.management.approve(token).approver.id == "supervisor-2"
-    assert asking.outcome(scene) == []
+    assert approvals.outcome(scene) == []
 
 
 def test_an_answer_before_the_question_is_not_kept(bench: Bench) -> None:
     """Who signs ahead for the next request's number, in the very words, has to sign again."""
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    next_one = asking.approval(scene, counter=2, expires_ms=bench.start_ms + 3_600_000)
-    scene.sim.gate.management.approve(asking.signed(bench, next_one, "supervisor-1"))
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    next_one = approvals.approval(scene, counter=2, expires_ms=bench.start_ms + 3_600_000)
+    scene.sim.gate.management.approve(approvals.signed(bench, next_one, "supervisor-1"))
     scene.sim.robot.pause(121_000)
-    assert asking.outcome(scene) == ["APPROVAL_TIMEOUT"]
+    assert approvals.outcome(scene) == ["APPROVAL_TIMEOUT"]
     for _ in range(2):
-        assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+        assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert scene.standing().counter == 2
     assert not moved(scene)
     held = scene.sim.gate.ledger.peek(lambda turn: turn.get("approvals", "deliver-p1:2"))
@@ -753,25 +752,25 @@ def test_an_answer_before_the_question_is_not_kept(bench: Bench) -> None:
 
 
 def test_who_fills_a_template_or_signed_it_has_no_second_name() -> None:
-    made = deliveries.edited((("risk_policy", "tau_1"), 1), (("risk_policy", "tau_2"), 1_000))
-    folder = deliveries.folder(made)
-    sim = deliveries.simulation(folder)
-    sim.gate.management.template(deliveries.signed(made))
-    filled = deliveries.instance(template=deliveries.digest(made))
-    sim.gate.management.activate(deliveries.token(filled, at=folder))
-    go = worlds.navigate("dock", "pharmacy", speed=800)
-    assert worlds.propose(sim, go).judged.decision.reasons == (Reason.APPROVAL_REQUIRED,)  # type: ignore[union-attr]
+    made = templates.edited((("risk_policy", "tau_1"), 1), (("risk_policy", "tau_2"), 1_000))
+    folder = templates.folder(made)
+    sim = templates.simulation(folder)
+    sim.gate.management.template(templates.signed(made))
+    filled = templates.instance(template=templates.digest(made))
+    sim.gate.management.activate(templates.token(filled, at=folder))
+    go = scenarios.navigate("dock", "pharmacy", speed=800)
+    assert scenarios.propose(sim, go).judged.decision.reasons == (Reason.APPROVAL_REQUIRED,)  # type: ignore[union-attr]
     standing = sim.gate.ledger.standing(filled.mid)
     assert standing is not None
     ((grant, request),) = standing.requests.items()
     verified = sim.gate.ledger.run(sim.gate.enforcer.intake.active_mission)
-    value = answer(verified, grant, request, rid=worlds.RID, verdict=Verdict.APPROVE)
+    value = answer(verified, grant, request, rid=scenarios.RID, verdict=Verdict.APPROVE)
     for holder in ("scheduler-0", "operator-1"):
         (key,) = open_key_file(folder / "keys" / f"{holder}.key.pem")
-        shadow = asking.key_of(folder, "shadow", Role.SUPERVISOR, key=key)
+        shadow = approvals.key_of(folder, "shadow", Role.SUPERVISOR, key=key)
         with pytest.raises(RefusedError) as error:
             sim.gate.management.approve(sign_object(value, Tag.APPROVAL, shadow))
         assert error.value.reason is Reason.ISSUER_MISMATCH
     honest = folder_signer(folder, "supervisor-1")
     sim.gate.management.approve(sign_object(value, Tag.APPROVAL, honest))
-    assert worlds.propose(sim, go).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, go).outcome is Outcome.SUCCEEDED

@@ -14,8 +14,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import asking
-import worlds
 from authguard_r.approvals.organization import OrganizationPolicy
 from authguard_r.assembly import folder_signer
 from authguard_r.cli import call
@@ -28,7 +26,8 @@ from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.token import sign_object
 from authguard_r.wire.messages import ClientRole
 from authguard_r.wire.questions import Question
-from gates import RunningGate, until
+from fixtures import approvals, scenarios
+from fixtures.gate_process import RunningGate, until
 
 PLAN = b'{"tool": "navigate_to", "arguments": {"destination": "Isolation Room", "speed": 0.8}}'
 #: Words that stand nowhere else: what a planner must never read.
@@ -48,7 +47,7 @@ def fresh(gate: RunningGate, **risk: Any) -> GateClient:
     for path in gate.folder.glob("robot.db*"):
         path.unlink()
     gate.start_gate()
-    gate.activate(gate.token(asking.at_gate(gate, **risk)))
+    gate.activate(gate.token(approvals.at_gate(gate, **risk)))
     with gate.client(ClientRole.OPERATOR, "waits") as operator:
         # simulated time may be behind the wall's, in which the mission was compiled
         until(lambda: foreseen(operator) == ["APPROVAL_REQUIRED"], "the mission's first second")
@@ -62,7 +61,7 @@ def foreseen(operator: GateClient) -> list[str]:
 
 
 def key(name: str) -> Any:
-    return folder_signer(worlds.trust_folder(), name)
+    return folder_signer(scenarios.trust_folder(), name)
 
 
 def reasons(planner: GateClient) -> list[str]:
@@ -70,6 +69,7 @@ def reasons(planner: GateClient) -> list[str]:
     return found
 
 
+@pytest.mark.smoke
 def test_people_are_shown_what_is_asked_answer_it_and_the_robot_moves(gate: RunningGate) -> None:
     planner = fresh(gate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
@@ -109,6 +109,7 @@ def test_people_are_shown_what_is_asked_answer_it_and_the_robot_moves(gate: Runn
     ]
 
 
+@pytest.mark.smoke
 def test_what_an_approver_says_reaches_the_log_and_no_planner(gate: RunningGate) -> None:
     planner = fresh(gate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
@@ -224,7 +225,7 @@ def authguard(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, 
 
 
 def keys(name: str) -> tuple[str, ...]:
-    stem = worlds.trust_folder() / "keys" / name
+    stem = scenarios.trust_folder() / "keys" / name
     return ("--key", f"{stem}.key.pem", "--cert", f"{stem}.cert.pem")
 
 
@@ -238,7 +239,7 @@ def test_approvals_from_the_command_line(
     code, told = authguard(capsys, "approvals", "list", *at)
     assert (code, [r["tier"] for r in told["requests"]]) == (3, [2])
     assert told["requests"][0]["action"]["destination"] == "isolation-room"
-    site = ("--site", worlds.HOSPITAL / "site.yaml")
+    site = ("--site", scenarios.HOSPITAL / "site.yaml")
     code, told = authguard(capsys, "approvals", "show", 1, *at, *site)
     card = "\n".join(told["card"])
     assert code == 0
@@ -246,7 +247,7 @@ def test_approvals_from_the_command_line(
     assert "speed_mm_s 0.8 m/s" in card
     assert "RESTRICTED: isolation-room" in card
     assert "may answer: safety_officer, supervisor; not operator-1" in card
-    trust = ("--trust", worlds.trust_folder())
+    trust = ("--trust", scenarios.trust_folder())
     words = ("approvals", "approve", 1, *at, *trust, "--yes")
     code, told = authguard(capsys, *words, *keys("operator-1"))
     assert (code, told["counts"], told["why_not"]) == (1, False, "ROLE_DENIED")
@@ -329,7 +330,7 @@ def test_approvals_watch_says_what_becomes_of_a_request(gate: RunningGate) -> No
 def test_scripted_people_wait_apart_from_the_machine(gate: RunningGate) -> None:
     planner = fresh(gate, tau_2=31)
     reasons(planner)
-    words = ["approvers", "--gate", str(gate.socket), "--trust", str(worlds.trust_folder())]
+    words = ["approvers", "--gate", str(gate.socket), "--trust", str(scenarios.trust_folder())]
     words += ["--as", "supervisor-1", "--as", "supervisor-2", "--count", "2"]
     words += ["--delay", "lognormal:0.2s,0.3", "--seed", "7"]
     done = subprocess.run(
@@ -456,15 +457,17 @@ def test_a_risk_policy_is_made_signed_and_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "policy.yaml"
-    site = ("--site", worlds.HOSPITAL / "site.yaml")
+    site = ("--site", scenarios.HOSPITAL / "site.yaml")
     words = ("risk-policy", "make", "--organization", "hospital", *site, "--out", file)
     assert authguard(capsys, *words)[0] == 0
-    sign = ("risk-policy", "sign", file, *site, "--yes", "--trust", worlds.trust_folder())
+    sign = ("risk-policy", "sign", file, *site, "--yes", "--trust", scenarios.trust_folder())
     assert authguard(capsys, *sign, *keys("operator-1"))[0] == 1
     code, told = authguard(capsys, *sign, *keys("safety-officer-1"))
     assert code == 0
     token = Path(told["file"])
-    code, told = authguard(capsys, "risk-policy", "show", token, "--trust", worlds.trust_folder())
+    code, told = authguard(
+        capsys, "risk-policy", "show", token, "--trust", scenarios.trust_folder()
+    )
     assert (code, told["valid"], told["signer"]) == (0, True, "safety-officer-1")
     assert authguard(capsys, "risk-policy", "show", token)[1]["valid"] is None
     plain = file.read_text()

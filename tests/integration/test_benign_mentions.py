@@ -15,12 +15,14 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.standing import Outcome
 from authguard_r.normalize import normalize
 from authguard_r.normalize.context import CHANNELS, ContextLedger
 from authguard_reference import frr
+from fixtures import scenarios
+
+pytestmark = pytest.mark.complete
 
 RUNS, BATCHES = 520, 4
 WATCHED = 3
@@ -42,12 +44,12 @@ SAID = (
 
 @cache
 def token() -> bytes:
-    return worlds.token()
+    return scenarios.token()
 
 
 @cache
 def spellings() -> tuple[str, ...]:
-    return tuple(sorted(worlds.simulation().binder.spellings()))
+    return tuple(sorted(scenarios.simulation().binder.spellings()))
 
 
 def utterance(rnd: Random) -> str:
@@ -60,7 +62,7 @@ def utterance(rnd: Random) -> str:
 
 def delivered(rnd: Random, *, at_once: bool) -> list[Any]:
     """Carry the whole task out while things are said between its steps."""
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     if at_once:
         _hurry(sim.robot)
     sim.gate.management.activate(token())
@@ -119,17 +121,19 @@ def test_a_choice_that_is_not_the_planner_s_waits_for_its_chooser_whatever_is_sa
     texts: list[str],
 ) -> None:
     """The cost of several rows: one signed selection. A mention adds nothing to it."""
-    grants = worlds.draft()["grants"]
+    grants = scenarios.draft()["grants"]
     rows = [
         {"source": "dock", "destination": goal, "regions": ["dock", goal, "public-corridor"]}
         for goal in ("pharmacy", "station-103")
     ]
     for chooser, expected in (("operator", ["PROVENANCE_DENIED"]), ("planner", [])):
-        sim = worlds.simulation()
+        sim = scenarios.simulation()
         first = {**grants[0], "rows": rows, "chooser": chooser}
-        sim.gate.management.activate(worlds.token(worlds.mission(grants=[first, *grants[1:]])))
+        sim.gate.management.activate(
+            scenarios.token(scenarios.mission(grants=[first, *grants[1:]]))
+        )
         context = ContextLedger(sim.binder.spellings())
         for text in texts:
             context.add("camera", text)
-        report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"), context)
+        report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"), context)
         assert [str(reason) for reason in report.judged.decision.reasons] == expected

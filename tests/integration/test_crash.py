@@ -23,7 +23,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import decode
@@ -33,6 +32,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, Use
 from authguard_r.store.sqlite import read_held, read_rows
+from fixtures import scenarios
 from integration.crash_worker import RESOLUTIONS, SCAN, Order, command, gate
 
 SEED = int(os.environ.get("AUTHGUARD_SEED", "20260"))
@@ -53,7 +53,7 @@ def mission() -> Mission:
     look: dict[str, Any] = {"id": "look", "type": "scan_obstacles", "tool": "lidar", **forever}
     tell: dict[str, Any] = {"id": SELF_SETTLING, "type": "announce", "tool": "speaker", **forever}
     everywhere = {"rows": [{}], "chooser": "operator"}
-    return worlds.mission(
+    return scenarios.mission(
         mission="many-looks",
         grants=[{**look, **everywhere}, {**tell, **everywhere, "done_when": attested}],
         window={"for": "20 h"},
@@ -159,7 +159,7 @@ class Life:
     def order(self, seed: int) -> Order:
         """Return the next round on this store, later than all before."""
         self.rounds += 1
-        start = worlds.START_MS + BETWEEN_MS * self.rounds
+        start = scenarios.START_MS + BETWEEN_MS * self.rounds
         return Order(store=str(self.path), start_ms=start, seed=seed)
 
     def read(self) -> Story:
@@ -231,7 +231,7 @@ class Worker:
     """The warm process that forks gates (crash_worker.py)."""
 
     def __init__(self, folder: Path, token: Path, errors: Path) -> None:
-        tests = str(Path(worlds.__file__).parent)
+        tests = str(Path(scenarios.__file__).parent)
         path = os.pathsep.join(filter(None, (tests, os.environ.get("PYTHONPATH"))))
         script = Path(__file__).with_name("crash_worker.py")
         self._errors = errors
@@ -292,20 +292,20 @@ class Worker:
 @pytest.fixture
 def token(tmp_path: Path) -> Path:
     path = tmp_path / "mission.token"
-    path.write_bytes(worlds.token(mission()))
+    path.write_bytes(scenarios.token(mission()))
     return path
 
 
 @pytest.fixture
 def worker(tmp_path: Path, token: Path) -> Iterator[Worker]:
-    made = Worker(worlds.trust_folder(), token, tmp_path / "worker.stderr")
+    made = Worker(scenarios.trust_folder(), token, tmp_path / "worker.stderr")
     yield made
     made.close()
 
 
 def restart(life: Life, story: Story, dice: random.Random) -> None:
     """Start the gate again here: what a person must settle, nothing goes past."""
-    folder = worlds.trust_folder()
+    folder = scenarios.trust_folder()
     sim = gate(folder, life.order(dice.randrange(2**32)))
     try:
         unsettled = tuple(t for t, grant in story.open.items() if grant != SELF_SETTLING)
@@ -316,18 +316,18 @@ def restart(life: Life, story: Story, dice: random.Random) -> None:
         suspended = bool(unsettled) or story.status is Status.SUSPENDED
         assert standing.status is (Status.SUSPENDED if suspended else Status.ACTIVE)
         for ticket in unsettled:
-            report = worlds.propose(sim, SCAN)
+            report = scenarios.propose(sim, SCAN)
             assert report.judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
             outcome = dice.choice(RESOLUTIONS)
             order = {"ticket": ticket, "outcome": outcome}
             standing = command(sim, folder, standing, Verb.RESOLVE, **order)
             assert standing.open == ()
         if suspended:
-            report = worlds.propose(sim, SCAN)
+            report = scenarios.propose(sim, SCAN)
             assert report.judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
             assert sim.robot.trace == []
             command(sim, folder, standing, Verb.RESUME)
-        assert worlds.propose(sim, SCAN).outcome is Outcome.SUCCEEDED
+        assert scenarios.propose(sim, SCAN).outcome is Outcome.SUCCEEDED
     finally:
         sim.gate.close()
 
@@ -365,10 +365,6 @@ def test_two_hundred_killed_gates_keep_every_promise(worker: Worker, tmp_path: P
     campaign(worker, tmp_path, kills=200, seed=SEED)
 
 
-@pytest.mark.campaign
-def test_two_thousand_killed_gates_keep_every_promise(
-    worker: Worker, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    if "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("a long campaign: run it with `-m campaign`")
+@pytest.mark.nightly
+def test_two_thousand_killed_gates_keep_every_promise(worker: Worker, tmp_path: Path) -> None:
     campaign(worker, tmp_path, kills=2_000, seed=SEED + 1)

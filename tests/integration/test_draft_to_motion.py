@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.compile.answers import compile_plain
 from authguard_r.core.action import Action
 from authguard_r.core.standing import Outcome
 from authguard_r.drafting.profile import read_profile
 from authguard_r.drafting.template import TemplateProposer
+from fixtures import scenarios
 
 SENTENCE = "Carry P1 from the pharmacy to Nurse Station 101, then return to base"
 FORCE = {"force_mn": 9_000}
@@ -20,17 +20,17 @@ FORCE = {"force_mn": 9_000}
 
 def started(sentence: str, **options: Any) -> Any:
     """Return a gate on which the sentence's mission is active."""
-    proposer = TemplateProposer(read_profile(), worlds.START_MS)
+    proposer = TemplateProposer(read_profile(), scenarios.START_MS)
     proposal = proposer.propose(
         sentence,
-        worlds.site(),
-        robot=worlds.RID,
+        scenarios.site(),
+        robot=scenarios.RID,
         settled={"issuer": "operator-1", "window": "25 min"},
     )
     assert proposal.questions == ()
-    mission = compile_plain(proposal.draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
-    sim = worlds.simulation(**options)
-    sim.gate.management.activate(worlds.token(mission))
+    mission = compile_plain(proposal.draft, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
+    sim = scenarios.simulation(**options)
+    sim.gate.management.activate(scenarios.token(mission))
     return sim
 
 
@@ -42,13 +42,13 @@ def hand(kind: str, item: str, at: str, **changes: Any) -> Action:
 def test_the_delivery_that_was_said_is_carried_out() -> None:
     sim = started(SENTENCE)
     plan = [
-        worlds.navigate("dock", "pharmacy"),
+        scenarios.navigate("dock", "pharmacy"),
         hand("pick", "package-p1", "pharmacy"),
-        worlds.navigate("pharmacy", "station-101"),
+        scenarios.navigate("pharmacy", "station-101"),
         hand("place", "package-p1", "station-101", destination="station-101"),
-        worlds.navigate("station-101", "dock"),
+        scenarios.navigate("station-101", "dock"),
     ]
-    assert [worlds.propose(sim, action).outcome for action in plan] == [Outcome.SUCCEEDED] * 5
+    assert [scenarios.propose(sim, action).outcome for action in plan] == [Outcome.SUCCEEDED] * 5
     assert sim.robot.state.places["package-p1"] == "station-101"
     assert sim.robot.state.region == "dock"
 
@@ -56,25 +56,25 @@ def test_the_delivery_that_was_said_is_carried_out() -> None:
 @pytest.mark.parametrize(
     ("action", "reason"),
     [
-        (worlds.navigate("dock", "station-101"), "DESTINATION_OUT_OF_SCOPE"),
-        (worlds.navigate("dock", "office-1"), "DESTINATION_OUT_OF_SCOPE"),
-        (worlds.navigate("dock", "pharmacy", speed=900), "PARAMETER_OUT_OF_BOUNDS"),
+        (scenarios.navigate("dock", "station-101"), "DESTINATION_OUT_OF_SCOPE"),
+        (scenarios.navigate("dock", "office-1"), "DESTINATION_OUT_OF_SCOPE"),
+        (scenarios.navigate("dock", "pharmacy", speed=900), "PARAMETER_OUT_OF_BOUNDS"),
         (hand("pick", "package-p2", "pharmacy"), "OBJECT_OUT_OF_SCOPE"),
         (Action(type="announce", tool="speaker"), "ACTION_OUT_OF_SCOPE"),
     ],
 )
 def test_what_was_not_said_is_refused(action: Action, reason: str) -> None:
-    report = worlds.propose(started(SENTENCE), action)
+    report = scenarios.propose(started(SENTENCE), action)
     assert report.outcome is None
     assert reason in [str(found) for found in report.judged.decision.reasons]
 
 
 def test_a_return_on_low_battery_is_refused_while_the_battery_is_full() -> None:
     """The paper's case: the same motion, with the guard that the sentence asked for."""
-    start = worlds.world("pharmacy")
-    home = worlds.navigate("pharmacy", "dock")
-    full = worlds.propose(started("return to base when the battery is low", start=start), home)
+    start = scenarios.world("pharmacy")
+    home = scenarios.navigate("pharmacy", "dock")
+    full = scenarios.propose(started("return to base when the battery is low", start=start), home)
     assert "GUARD_FALSE" in [str(found) for found in full.judged.decision.reasons]
-    low = worlds.msgspec.structs.replace(start, battery_permille=150)
-    report = worlds.propose(started("return to base when the battery is low", start=low), home)
+    low = scenarios.msgspec.structs.replace(start, battery_permille=150)
+    report = scenarios.propose(started("return to base when the battery is low", start=low), home)
     assert report.outcome is Outcome.SUCCEEDED

@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
@@ -20,10 +19,11 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.sim.robot import Faults, snapshot_of
+from fixtures import scenarios
 from missionpair.bench import Scene, approve, make_bench, propose
 from missionpair.suite import restricted
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 
 
 def records(sim: Any, kind: str) -> list[Any]:
@@ -32,13 +32,13 @@ def records(sim: Any, kind: str) -> list[Any]:
 
 
 def ready(**kwargs: Any) -> Any:
-    sim = worlds.simulation(**kwargs)
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(**kwargs)
+    sim.gate.management.activate(scenarios.token())
     return sim
 
 
 def order(verb: Verb, nonce: str, **changes: Any) -> bytes:
-    mission = changes.pop("mission", worlds.mission())
+    mission = changes.pop("mission", scenarios.mission())
     by = changes.pop("by", "operator-1")
     fields = {
         "verb": verb,
@@ -46,10 +46,10 @@ def order(verb: Verb, nonce: str, **changes: Any) -> bytes:
         "version": mission.version,
         "mission": digest_of(Tag.MISSION, mission),
         "nonce": b64(nonce.encode()),
-        "expires_ms": worlds.START_MS + 3_600_000,
+        "expires_ms": scenarios.START_MS + 3_600_000,
     }
     value = Command(**{**fields, **changes})
-    return sign_object(value, Tag.COMMAND, worlds.folder_signer(worlds.trust_folder(), by))
+    return sign_object(value, Tag.COMMAND, scenarios.folder_signer(scenarios.trust_folder(), by))
 
 
 # the lease
@@ -66,7 +66,7 @@ def order(verb: Verb, nonce: str, **changes: Any) -> bytes:
 )
 def test_a_robot_that_breaks_its_lease_is_stopped(faults: Faults, reason: str) -> None:
     sim = ready(faults=faults)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.ABORTED
     assert reason in [str(finding.reason) for finding in report.reasons]
     assert sim.robot.state.speed_mm_s == 0
@@ -84,7 +84,7 @@ def test_a_revocation_in_mid_motion_stops_the_robot() -> None:
             sim.gate.management.command(order(Verb.REVOKE, "mid"))
 
     sim.robot.pause = revoke_after_a_while
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.ABORTED
     assert [str(f.reason) for f in report.reasons] == ["REVOKED"]
     assert sim.robot.elapsed_ms <= 2_200
@@ -93,26 +93,27 @@ def test_a_revocation_in_mid_motion_stops_the_robot() -> None:
 def test_the_end_of_the_mission_in_mid_motion_stops_the_robot() -> None:
     sim = ready()
     sim.robot.pause(25 * 60_000 - 5_000)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.ABORTED
     assert "EXPIRED" in [str(f.reason) for f in report.reasons]
 
 
 def test_a_lease_ends_after_its_longest_time() -> None:
     grants = [
-        {**g, "max": "5 s"} if g["id"] == "go-to-pharmacy" else g for g in worlds.draft()["grants"]
+        {**g, "max": "5 s"} if g["id"] == "go-to-pharmacy" else g
+        for g in scenarios.draft()["grants"]
     ]
-    mission = worlds.mission(grants=grants)
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token(mission))
-    report = worlds.propose(sim, GO)
+    mission = scenarios.mission(grants=grants)
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token(mission))
+    report = scenarios.propose(sim, GO)
     assert [str(f.reason) for f in report.reasons] == ["LEASE_ENDED"]
 
 
 def test_a_failed_grasp_uses_its_start_and_is_no_success() -> None:
-    sim = worlds.simulation(start=worlds.world("pharmacy"), faults=Faults(grasp_fails=True))
-    sim.gate.management.activate(worlds.token())
-    pick = worlds.Action(
+    sim = scenarios.simulation(start=scenarios.world("pharmacy"), faults=Faults(grasp_fails=True))
+    sim.gate.management.activate(scenarios.token())
+    pick = scenarios.Action(
         type="pick",
         tool="gripper",
         object="package-p1",
@@ -120,14 +121,14 @@ def test_a_failed_grasp_uses_its_start_and_is_no_success() -> None:
         params={"force_mn": 9_000},
     )
     for _ in range(2):
-        assert worlds.propose(sim, pick).outcome is Outcome.FAILED
-    third = worlds.propose(sim, pick)
+        assert scenarios.propose(sim, pick).outcome is Outcome.FAILED
+    third = scenarios.propose(sim, pick)
     assert [str(r) for r in third.judged.decision.reasons] == ["STARTS_EXHAUSTED"]
 
 
 def test_a_controller_that_does_not_begin_gives_the_start_back() -> None:
     sim = ready(faults=Faults(controller_refuses=True))
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.NOT_STARTED
     assert [str(f.reason) for f in report.reasons] == ["CONTROLLER_FAILED"]
     standing = sim.gate.management.standing("deliver-p1")
@@ -145,12 +146,12 @@ def test_state_that_turns_bad_between_commit_and_dispatch_is_not_started() -> No
     def refresh() -> Any:
         calls.append(1)
         if len(calls) == 3:  # recovery, decision, the look before dispatch
-            sim.robot.state = worlds.world("office-1")
+            sim.robot.state = scenarios.world("office-1")
             sim.robot.pause(50)
         return first()
 
     intake.refresh = refresh
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.NOT_STARTED
     assert sim.robot.trace == []
 
@@ -163,9 +164,9 @@ def bad_states(sim: Any) -> dict[str, tuple[bytes, str]]:
     robot = sim.robot
     fresh = snapshot_of(robot.state, robot=robot.rid, epoch=1, seq=50)
     old = snapshot_of(robot.state, robot=robot.rid, epoch=1, seq=1)
-    folder = worlds.trust_folder()
-    estimator = worlds.folder_signer(folder, f"estimator-{worlds.RID}")
-    operator = worlds.folder_signer(folder, "operator-1")
+    folder = scenarios.trust_folder()
+    estimator = scenarios.folder_signer(folder, f"estimator-{scenarios.RID}")
+    operator = scenarios.folder_signer(folder, "operator-1")
     good = sign_object(fresh, Tag.STATE, estimator)
     return {
         "unsigned": (msgspec.json.encode(fresh), "MALFORMED"),
@@ -187,20 +188,20 @@ def test_a_snapshot_that_is_not_the_estimators_is_recorded_and_not_taken_in(kind
     assert sim.gate.enforcer.intake.refresh() is before
     assert [r.open["reasons"] for r in records(sim, "intake")] == [[reason]]
     sim.robot.pause(5_000)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert "STATE_STALE" in [str(r) for r in report.judged.decision.reasons]
     assert sim.robot.trace == []
 
 
 def test_a_foreign_snapshot_satisfies_nothing() -> None:
     sim = ready()
-    foreign = snapshot_of(sim.robot.state, robot=worlds.OTHER, epoch=9, seq=1)
-    estimator = worlds.folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
+    foreign = snapshot_of(sim.robot.state, robot=scenarios.OTHER, epoch=9, seq=1)
+    estimator = scenarios.folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
     data = sign_object(foreign, Tag.STATE, estimator)
     sim.robot.latest = lambda: data
     before = sim.gate.enforcer.intake.refresh()
     assert sim.gate.ledger.snapshot != (9, 1)  # nor does it shut the robot's own estimator out
-    assert before is None or before.snapshot.robot == worlds.RID
+    assert before is None or before.snapshot.robot == scenarios.RID
     assert records(sim, "intake")[-1].open["reasons"] == ["STATE_FOREIGN"]
 
 
@@ -208,9 +209,9 @@ def test_a_foreign_snapshot_satisfies_nothing() -> None:
 
 
 def test_what_is_authorized_but_unsafe_is_refused_and_uses_nothing() -> None:
-    near = msgspec.structs.replace(worlds.world(), human_distance_mm=500)
+    near = msgspec.structs.replace(scenarios.world(), human_distance_mm=500)
     sim = ready(start=near)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is None
     assert report.judged.decision.verdict == "accept"
     assert not report.judged.safety.safe
@@ -220,27 +221,27 @@ def test_what_is_authorized_but_unsafe_is_refused_and_uses_nothing() -> None:
 
 
 def test_a_repair_is_a_new_proposal_and_may_leave_the_mission() -> None:
-    near = msgspec.structs.replace(worlds.world(), human_distance_mm=500)
+    near = msgspec.structs.replace(scenarios.world(), human_distance_mm=500)
     sim = ready(start=near)
-    repaired = worlds.propose(sim, GO).judged.safety.repair
-    assert worlds.propose(sim, repaired).outcome is Outcome.SUCCEEDED
-    fast = worlds.draft()
+    repaired = scenarios.propose(sim, GO).judged.safety.repair
+    assert scenarios.propose(sim, repaired).outcome is Outcome.SUCCEEDED
+    fast = scenarios.draft()
     fast["grants"] = [
         {**g, "limits": {"speed_mm_s": ["0.4 m/s", "0.8 m/s"]}}
         if g["id"] == "go-to-pharmacy"
         else g
         for g in fast["grants"]
     ]
-    sim = worlds.simulation(start=near)
-    sim.gate.management.activate(worlds.token(worlds.mission(grants=fast["grants"])))
-    repaired = worlds.propose(sim, GO).judged.safety.repair
-    again = worlds.propose(sim, repaired)
+    sim = scenarios.simulation(start=near)
+    sim.gate.management.activate(scenarios.token(scenarios.mission(grants=fast["grants"])))
+    repaired = scenarios.propose(sim, GO).judged.safety.repair
+    again = scenarios.propose(sim, repaired)
     assert [str(r) for r in again.judged.decision.reasons] == ["PARAMETER_OUT_OF_BOUNDS"]
 
 
 def test_the_log_says_that_safety_was_not_asked_about_what_was_unauthorized() -> None:
     sim = ready()
-    worlds.propose(sim, worlds.navigate("dock", "office-1"))
+    scenarios.propose(sim, scenarios.navigate("dock", "office-1"))
     assert records(sim, "decision")[-1].open["safety"] == "not evaluated"
 
 
@@ -248,7 +249,7 @@ def test_the_log_says_that_safety_was_not_asked_about_what_was_unauthorized() ->
 
 
 def test_a_stop_needs_no_mission_and_is_recorded() -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     sim.gate.enforcer.stop(by="passer-by", is_planner=False)
     assert sim.robot.stops == 1
     assert records(sim, "stop")[0].open == {"by": "passer-by", "planner": False}
@@ -264,7 +265,7 @@ def test_planner_stops_are_counted_and_raise_an_alert() -> None:
 
 
 def test_a_planner_that_stops_without_a_mission_is_obeyed() -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     sim.gate.enforcer.stop(by="planner", is_planner=True)
     assert sim.robot.stops == 1
 
@@ -286,7 +287,7 @@ def test_a_fault_in_a_gate_is_a_refusal_and_one_record() -> None:
 
     sim = ready()
     sim.gate.enforcer._safety = Broken()
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.refusal.reason is Reason.INTERNAL_FAULT
     assert sim.robot.trace == []
     assert [r.open["reasons"] for r in records(sim, "refusal")] == [["INTERNAL_FAULT"]]
@@ -296,7 +297,7 @@ def test_a_fault_in_a_gate_is_a_refusal_and_one_record() -> None:
 def test_a_store_that_is_gone_refuses_and_nothing_moves() -> None:
     sim = ready()
     sim.gate.ledger.store.close()
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.refusal.reason is Reason.STORE_UNAVAILABLE
     assert report.seq is None
     assert sim.robot.trace == []
@@ -313,7 +314,7 @@ def test_an_outcome_that_cannot_be_recorded_leaves_the_release_open(tmp_path: Pa
         return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.SUCCEEDED
     assert not report.outcome_recorded
     sim.gate.ledger.store.run = run
@@ -329,8 +330,8 @@ def test_an_outcome_that_cannot_be_recorded_leaves_the_release_open(tmp_path: Pa
 
 
 def test_a_postcondition_settles_an_unknown_outcome() -> None:
-    sim = ready(start=worlds.world("pharmacy"))
-    pick = worlds.Action(
+    sim = ready(start=scenarios.world("pharmacy"))
+    pick = scenarios.Action(
         type="pick",
         tool="gripper",
         object="package-p1",
@@ -346,7 +347,7 @@ def test_a_postcondition_settles_an_unknown_outcome() -> None:
         return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
-    assert worlds.propose(sim, pick).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, pick).outcome is Outcome.SUCCEEDED
     sim.gate.ledger.store.run = run
     sim.robot.pause(100)
     assert sim.gate.management.recover() == ()
@@ -376,9 +377,9 @@ def second(mission: Any, **changes: Any) -> Any:
 
 
 def test_an_update_supersedes_and_carries_what_was_used() -> None:
-    sim, mission = ready(), worlds.mission()
-    worlds.propose(sim, GO)
-    standing = sim.gate.management.activate(worlds.token(second(mission)))
+    sim, mission = ready(), scenarios.mission()
+    scenarios.propose(sim, GO)
+    standing = sim.gate.management.activate(scenarios.token(second(mission)))
     assert (standing.version, standing.status) == (2, "active")
     assert standing.uses["go-to-pharmacy"].successes == 1
 
@@ -398,43 +399,43 @@ def test_an_update_supersedes_and_carries_what_was_used() -> None:
     ],
 )
 def test_an_update_that_does_not_fit_changes_nothing(changes: dict[str, Any], reason: str) -> None:
-    sim, mission = ready(), worlds.mission()
+    sim, mission = ready(), scenarios.mission()
     before = sim.gate.management.standing("deliver-p1")
-    token = worlds.token(second(mission, **changes), by=changes.get("issuer", "operator-1"))
+    token = scenarios.token(second(mission, **changes), by=changes.get("issuer", "operator-1"))
     with pytest.raises(AuthGuardError, match=reason):
         sim.gate.management.activate(token)
     assert sim.gate.management.standing("deliver-p1") == before
 
 
 def test_an_update_may_not_forget_what_was_used() -> None:
-    sim, mission = ready(), worlds.mission()
-    worlds.propose(sim, GO)
+    sim, mission = ready(), scenarios.mission()
+    scenarios.propose(sim, GO)
     fewer = tuple(
         msgspec.structs.replace(g, alternatives=g.alternatives[:1]) for g in mission.actions
     )
     with pytest.raises(AuthGuardError, match="TRANSITION_REFUSED"):
-        sim.gate.management.activate(worlds.token(second(mission, actions=fewer)))
+        sim.gate.management.activate(scenarios.token(second(mission, actions=fewer)))
 
 
 def test_a_first_version_is_needed_first() -> None:
-    sim, mission = worlds.simulation(), worlds.mission()
+    sim, mission = scenarios.simulation(), scenarios.mission()
     with pytest.raises(AuthGuardError, match="MISSION_UNKNOWN"):
-        sim.gate.management.activate(worlds.token(second(mission)))
+        sim.gate.management.activate(scenarios.token(second(mission)))
 
 
 def test_a_completed_or_closing_mission_is_not_updated() -> None:
-    sim, mission = ready(), worlds.mission()
+    sim, mission = ready(), scenarios.mission()
     sim.gate.management.command(order(Verb.COMPLETE, "done"))
     with pytest.raises(AuthGuardError, match="TRANSITION_REFUSED"):
-        sim.gate.management.activate(worlds.token(second(mission)))
+        sim.gate.management.activate(scenarios.token(second(mission)))
     with pytest.raises(AuthGuardError, match="MISSION_COMPLETED"):
-        sim.gate.management.activate(worlds.token(mission))
+        sim.gate.management.activate(scenarios.token(mission))
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"expires_ms": worlds.START_MS - 1}, "EXPIRED"),
+        ({"expires_ms": scenarios.START_MS - 1}, "EXPIRED"),
         ({"mid": "another"}, "MISSION_UNKNOWN"),
         ({"mission_digest": "A" * 43}, "MISSION_UNKNOWN"),
         ({"by": "supervisor-1"}, "ROLE_DENIED"),
@@ -452,9 +453,9 @@ def test_a_command_that_does_not_fit_changes_nothing(changes: dict[str, Any], re
             version=1,
             mission=digest,
             nonce="AA",
-            expires_ms=worlds.START_MS + 10**6,
+            expires_ms=scenarios.START_MS + 10**6,
         )
-        signer = worlds.folder_signer(worlds.trust_folder(), "operator-1")
+        signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
         token = sign_object(value, Tag.COMMAND, signer)
     with pytest.raises(AuthGuardError, match=reason):
         sim.gate.management.command(token)
@@ -481,7 +482,7 @@ def test_an_order_that_the_life_cycle_does_not_know_is_refused() -> None:
 def test_a_selection_that_does_not_fit_changes_nothing(
     changes: dict[str, Any], by: str, reason: str
 ) -> None:
-    sim, mission = ready(), worlds.mission()
+    sim, mission = ready(), scenarios.mission()
     fields = {
         "mid": mission.mid,
         "version": 1,
@@ -489,10 +490,10 @@ def test_a_selection_that_does_not_fit_changes_nothing(
         "grant": "pick-p1",
         "row": 0,
         "nonce": "AA",
-        "expires_ms": worlds.START_MS + 10**6,
+        "expires_ms": scenarios.START_MS + 10**6,
     }
     value = Selection(**{**fields, **changes})
-    token = sign_object(value, Tag.SELECTION, worlds.folder_signer(worlds.trust_folder(), by))
+    token = sign_object(value, Tag.SELECTION, scenarios.folder_signer(scenarios.trust_folder(), by))
     with pytest.raises(AuthGuardError, match=reason):
         sim.gate.management.select(token)
     assert sim.gate.management.standing("deliver-p1").selected == {}
@@ -561,34 +562,45 @@ def test_people_are_asked_no_more_often_than_the_mission_allows(bench: Any) -> N
 def test_expiry_is_written_down_when_it_is_met() -> None:
     sim = ready()
     sim.robot.pause(26 * 60_000)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert "EXPIRED" in [str(r) for r in report.judged.decision.reasons]
     assert sim.gate.management.standing("deliver-p1").status == "expired"
 
 
 def test_time_never_runs_backwards_and_a_late_clock_is_a_fault() -> None:
     sim = ready()
-    worlds.propose(sim, GO)
+    scenarios.propose(sim, GO)
     before = sim.gate.ledger.now()
     sim.robot._start_ms -= 1_000
     assert sim.gate.ledger.now().utc_ms >= before.utc_ms
     sim.robot._start_ms -= 3_600_000
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.refusal.reason is Reason.CLOCK_BEHIND
     assert records(sim, "refusal")[-1].open["reasons"] == ["CLOCK_BEHIND"]
     sim.gate.enforcer.stop(by="operator", is_planner=False)
     assert sim.robot.stops == 1
 
 
+def test_a_safety_officer_may_suspend_a_mission_and_not_resume_it() -> None:
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    sim.gate.management.command(order(Verb.SUSPEND, "1", by="safety-officer-1"))
+    with pytest.raises(AuthGuardError, match="may not resume"):
+        sim.gate.management.command(order(Verb.RESUME, "2", by="safety-officer-1"))
+    assert sim.gate.management.standing("deliver-p1").status == "suspended"
+    sim.gate.management.command(order(Verb.RESUME, "3"))
+    assert sim.gate.management.standing("deliver-p1").status == "active"
+
+
 def test_an_operators_stop_suspends_until_a_signed_resume() -> None:
     sim = ready()
     sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert [str(r) for r in report.judged.decision.reasons] == ["MISSION_SUSPENDED"]
     assert records(sim, "management")[-1].link.decision == "suspend"
     sim.gate.management.command(order(Verb.RESUME, "go-on"))
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
-    idle = worlds.simulation()
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    idle = scenarios.simulation()
     idle.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     assert idle.robot.stops == 1
 
@@ -604,7 +616,7 @@ def test_a_mission_is_not_resumed_while_nobody_knows_what_happened() -> None:
         return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
-    worlds.propose(sim, GO)
+    scenarios.propose(sim, GO)
     sim.gate.ledger.store.run = run
     sim.gate.management.recover()
     with pytest.raises(AuthGuardError, match="TRANSITION_REFUSED"):
@@ -622,17 +634,17 @@ def test_a_gate_that_starts_recovers_before_its_first_decision(tmp_path: Path) -
         return run(job, **more)
 
     sim.gate.ledger.store.run = dies_before_the_outcome
-    worlds.propose(sim, GO)
+    scenarios.propose(sim, GO)
     sim.gate.close()
-    again = worlds.simulation(
+    again = scenarios.simulation(
         store=tmp_path / "robot.db",
-        start=worlds.world("pharmacy"),
-        start_ms=worlds.START_MS + 300_000,
+        start=scenarios.world("pharmacy"),
+        start_ms=scenarios.START_MS + 300_000,
     )
-    pick = worlds.Action(
+    pick = scenarios.Action(
         type="pick", tool="gripper", object="package-p1", source="pharmacy", params={"force_mn": 9}
     )
-    report = worlds.propose(again, pick)
+    report = scenarios.propose(again, pick)
     assert "MISSION_SUSPENDED" in [str(r) for r in report.judged.decision.reasons]
     again.gate.close()
 
@@ -642,21 +654,21 @@ def test_what_time_ended_does_not_stand_in_the_way_of_the_next_mission(how: str)
     sim = ready()
     if how == "closed":
         first = sim.gate.management.standing("deliver-p1")
-        ending = msgspec.structs.replace(first, status="closing", closes_ms=worlds.START_MS + 1)
+        ending = msgspec.structs.replace(first, status="closing", closes_ms=scenarios.START_MS + 1)
         ending = msgspec.convert(msgspec.to_builtins(ending), type(first))
         sim.gate.ledger.run(lambda act: act.hold(ending))
     else:
         sim.robot.pause(26 * 60_000)
     sim.robot.pause(1_000)
-    draft = worlds.draft(mission="deliver-again", window={"for": "2 h"})
-    mission = worlds.mission(**draft)
-    assert sim.gate.management.activate(worlds.token(mission)).status == "active"
+    draft = scenarios.draft(mission="deliver-again", window={"for": "2 h"})
+    mission = scenarios.mission(**draft)
+    assert sim.gate.management.activate(scenarios.token(mission)).status == "active"
     ended = sim.gate.management.standing("deliver-p1").status
     assert ended == ("completed" if how == "closed" else "expired")
 
 
 def test_a_choice_is_taken_in_once() -> None:
-    sim, mission = ready(), worlds.mission()
+    sim, mission = ready(), scenarios.mission()
     value = Selection(
         mid=mission.mid,
         version=1,
@@ -664,9 +676,9 @@ def test_a_choice_is_taken_in_once() -> None:
         grant="pick-p1",
         row=0,
         nonce="AA",
-        expires_ms=worlds.START_MS + 10**6,
+        expires_ms=scenarios.START_MS + 10**6,
     )
-    signer = worlds.folder_signer(worlds.trust_folder(), "operator-1")
+    signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
     token = sign_object(value, Tag.SELECTION, signer)
     sim.gate.management.select(token)
     with pytest.raises(AuthGuardError, match="EXPIRED"):
@@ -696,10 +708,10 @@ def test_an_approver_who_was_revoked_since_does_not_count(bench: Any) -> None:
 
 def test_an_old_snapshot_is_not_new_after_a_restart(tmp_path: Path) -> None:
     sim = ready(store=tmp_path / "robot.db")
-    worlds.propose(sim, GO)
+    scenarios.propose(sim, GO)
     old = sim.robot.latest()
     sim.gate.close()
-    again = worlds.simulation(store=tmp_path / "robot.db", start_ms=worlds.START_MS + 300_000)
+    again = scenarios.simulation(store=tmp_path / "robot.db", start_ms=scenarios.START_MS + 300_000)
     again.robot.latest = lambda: old
     assert again.gate.enforcer.intake.refresh() is None
     again.gate.close()
@@ -707,12 +719,12 @@ def test_an_old_snapshot_is_not_new_after_a_restart(tmp_path: Path) -> None:
 
 def test_a_certificate_that_ended_stops_the_decision() -> None:
     sim = ready()
-    worlds.propose(sim, worlds.navigate("dock", "office-1"))
+    scenarios.propose(sim, scenarios.navigate("dock", "office-1"))
     kept = sim.gate.enforcer.intake._verified
     for digest, verified in list(kept.items()):
-        issuer = msgspec.structs.replace(verified.issuer, usable_until_ms=worlds.START_MS - 1)
+        issuer = msgspec.structs.replace(verified.issuer, usable_until_ms=scenarios.START_MS - 1)
         kept[digest] = msgspec.structs.replace(verified, issuer=issuer)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert [str(r) for r in report.judged.decision.reasons] == ["CERTIFICATE_EXPIRED"]
     assert report.judged.decision.match is None
     assert records(sim, "decision")[-1].open["grant"] == "-"
@@ -728,7 +740,7 @@ def test_a_registry_entry_that_vanishes_under_way_is_no_recorded_outcome() -> No
         sim.gate.ledger.store._held.pop(("standing", "deliver-p1"), None)
 
     sim.robot.pause = lose_the_entry
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert not report.outcome_recorded
 
 
@@ -738,11 +750,11 @@ def test_the_last_success_may_come_by_a_signed_word() -> None:
             **{k: v for k, v in g.items() if k != "done_when"},
             "completes": g["id"] == "go-to-pharmacy",
         }
-        for g in worlds.draft()["grants"]
+        for g in scenarios.draft()["grants"]
     ]
-    mission = worlds.mission(grants=grants, closing=None)
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token(mission))
+    mission = scenarios.mission(grants=grants, closing=None)
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token(mission))
     run, count = sim.gate.ledger.store.run, []
 
     def fails_at_the_outcome(job: Any, **more: Any) -> Any:
@@ -752,7 +764,7 @@ def test_the_last_success_may_come_by_a_signed_word() -> None:
         return run(job, **more)
 
     sim.gate.ledger.store.run = fails_at_the_outcome
-    worlds.propose(sim, GO)
+    scenarios.propose(sim, GO)
     sim.gate.ledger.store.run = run
     (ticket,) = sim.gate.management.recover()
     said = order(Verb.RESOLVE, "a", mission=mission, ticket=ticket, outcome=Outcome.SUCCEEDED)
@@ -780,21 +792,21 @@ def test_the_last_success_may_come_by_a_signed_word() -> None:
 def test_a_bad_token_is_refused_with_one_record_and_nothing_changed(
     token: Any, reason: str
 ) -> None:
-    sim, mission = worlds.simulation(), worlds.mission()
-    good = worlds.token(mission)
+    sim, mission = scenarios.simulation(), scenarios.mission()
+    good = scenarios.token(mission)
     past = {"not_before": "2020-01-01T00:00:00Z", "expiry": "2020-01-02T00:00:00Z"}
     made = {
         "cut": lambda: good[:-20],
         "space": lambda: good.replace(b'":', b'": ', 1),
-        "supervisor": lambda: worlds.token(mission, by="supervisor-1"),
+        "supervisor": lambda: scenarios.token(mission, by="supervisor-1"),
         "bit": lambda: good.replace(b'"signature":"', b'"signature":"A', 1)[:-5] + good[-4:],
-        "foreign": lambda: worlds.token(msgspec.structs.replace(mission, rid="lifter-1")),
-        "profile": lambda: worlds.token(msgspec.structs.replace(mission, profile="A" * 43)),
-        "site": lambda: worlds.token(msgspec.structs.replace(mission, site="A" * 43)),
-        "past": lambda: worlds.token(msgspec.structs.replace(mission, **past)),
+        "foreign": lambda: scenarios.token(msgspec.structs.replace(mission, rid="lifter-1")),
+        "profile": lambda: scenarios.token(msgspec.structs.replace(mission, profile="A" * 43)),
+        "site": lambda: scenarios.token(msgspec.structs.replace(mission, site="A" * 43)),
+        "past": lambda: scenarios.token(msgspec.structs.replace(mission, **past)),
     }
     if token == "bit":
-        other = worlds.token(msgspec.structs.replace(mission, nonce="B" * 22))
+        other = scenarios.token(msgspec.structs.replace(mission, nonce="B" * 22))
         payload = good.split(b'"payload":')[1]
         data = other.split(b'"payload":')[0] + b'"payload":' + payload
     else:
@@ -805,7 +817,7 @@ def test_a_bad_token_is_refused_with_one_record_and_nothing_changed(
     assert str(refused.value.reason) == reason
     added = sim.gate.ledger.store.rows()[before:]
     assert [read_record(row.record, where="").open["reasons"] for row in added] == [[reason]]
-    assert worlds.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
 
 
 def test_a_mission_whose_token_is_gone_is_refused() -> None:
@@ -814,6 +826,6 @@ def test_a_mission_whose_token_is_gone_is_refused() -> None:
     held = sim.gate.ledger.store._held
     for key in [key for key in held if key[0] == "token"]:
         del held[key]
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.refusal.reason is Reason.STORE_CORRUPT
     assert sim.robot.trace == []

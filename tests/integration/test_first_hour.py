@@ -24,7 +24,7 @@ from authguard_r.client import GateClient
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, PATIENCE_S, until
+from fixtures.gate_process import AUTHGUARD, PATIENCE_S, until
 
 ROBOT = "courier-7"
 LIST = {

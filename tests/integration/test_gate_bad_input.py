@@ -27,8 +27,6 @@ from typing import Any, Self
 
 import pytest
 
-import streams
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag, b64, encode_fast, unb64
 from authguard_r.core.errors import AuthGuardError
@@ -40,7 +38,8 @@ from authguard_r.gate.config import Peer
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import BOUND, PROTOCOL, Attest, ClientRole, Kind
-from gates import EVERY, Line, RunningGate, Told, shown, until
+from fixtures import frame_streams, scenarios
+from fixtures.gate_process import EVERY, Line, RunningGate, Told, shown, until
 
 PLAN = b'{"tool": "scan", "arguments": {}}'
 #: A user of this machine that the configuration does not name.
@@ -205,6 +204,7 @@ def test_who_says_nothing_at_all_is_let_go(gate: RunningGate, beside: Beside) ->
 # too much
 
 
+@pytest.mark.smoke
 def test_a_message_above_its_bound_is_refused_before_its_body_comes(
     gate: RunningGate, beside: Beside
 ) -> None:
@@ -269,7 +269,7 @@ def test_a_body_that_is_no_message_is_answered_and_the_connection_goes_on(
 def test_every_published_stream_and_hello_is_answered_by_the_process_as_published(
     gate: RunningGate, beside: Beside
 ) -> None:
-    for vector in streams.hellos():
+    for vector in frame_streams.hellos():
         with Line(gate.socket) as line:
             line.send(bytes.fromhex(vector["hex"]))
             if "kind" in vector["expect"]:
@@ -278,7 +278,7 @@ def test_every_published_stream_and_hello_is_answered_by_the_process_as_publishe
                 fault = line.dropped()
                 assert fault["code"] == vector["expect"]["error"], vector["name"]
                 assert fault["where"] == vector["expect"]["where"], vector["name"]
-    for number, vector in enumerate(streams.streams()):
+    for number, vector in enumerate(frame_streams.streams()):
         role, expect = vector["role"], vector["expect"]
         if "error" not in expect or role not in {None, *ROLES}:
             continue
@@ -388,7 +388,7 @@ def test_a_thousand_connections_leave_the_one_beside_served_and_nothing_behind(
     bounds = {"connections": connections, "refusals": 0}
     with (
         files_here(4_096),
-        RunningGate(rid=worlds.OTHER, peers=peers, files=files, **bounds) as gate,
+        RunningGate(rid=scenarios.OTHER, peers=peers, files=files, **bounds) as gate,
     ):
         with Beside(gate) as beside:
             beside.round()
@@ -436,6 +436,7 @@ time.sleep(600)
 """
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("is_whole", [False, True], ids=["half-a-request", "a-whole-request"])
 def test_a_client_killed_in_mid_request_is_forgotten(
     gate: RunningGate, beside: Beside, tmp_path: Path, *, is_whole: bool
@@ -449,6 +450,8 @@ def test_a_client_killed_in_mid_request_is_forgotten(
     )
     try:
         until((tmp_path / "connected").exists, "the child's hello")
+        if is_whole:  # the gate does not decide a plan whose planner left before its turn
+            until(lambda: any(r.open.get("client") == uid(name) for r in gate.news()), "a decision")
     finally:
         child.send_signal(signal.SIGKILL)
         child.wait()
@@ -459,7 +462,6 @@ def test_a_client_killed_in_mid_request_is_forgotten(
         with gate.client(ClientRole.PLANNER, name) as again:
             answer = again.propose(b"scan()\n", key=name)
         assert answer["repeated"] is True
-        assert any(r.open.get("client") == uid(name) for r in gate.records())
     else:
         recorded(gate, "MALFORMED", uid(name), where="frame")
 
@@ -500,6 +502,7 @@ def test_another_user_may_be_nothing_whatever_it_says(
     assert str(who) in record.sealed["message"]
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("role", [ClientRole.CONTROLLER, ClientRole.GATE])
 def test_a_role_that_the_configuration_does_not_give_is_refused(
     gate: RunningGate, beside: Beside, role: ClientRole
@@ -514,10 +517,10 @@ def test_a_role_that_the_configuration_does_not_give_is_refused(
 # state that is not
 
 
-def signed(epoch: int, seq: int, *, by: str = "", robot: RobotId = worlds.RID) -> bytes:
+def signed(epoch: int, seq: int, *, by: str = "", robot: RobotId = scenarios.RID) -> bytes:
     """Return a snapshot signed by somebody, by default by this robot's estimator."""
-    seen: Snapshot = snapshot_of(worlds.world(), robot=robot, epoch=epoch, seq=seq)
-    signer = folder_signer(worlds.trust_folder(), by or f"estimator-{worlds.RID}")
+    seen: Snapshot = snapshot_of(scenarios.world(), robot=robot, epoch=epoch, seq=seq)
+    signer = folder_signer(scenarios.trust_folder(), by or f"estimator-{scenarios.RID}")
     return sign_object(seen, Tag.STATE, signer)
 
 
@@ -548,9 +551,14 @@ def test_a_snapshot_that_is_not_the_next_leaves_the_last_in_force(
         assert line.told(Kind.REPLY) == {"epoch": 5, "seq": 6}
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("robot", "by"),
-    [(worlds.OTHER, worlds.OTHER), (worlds.OTHER, worlds.RID), (worlds.RID, worlds.OTHER)],
+    [
+        (scenarios.OTHER, scenarios.OTHER),
+        (scenarios.OTHER, scenarios.RID),
+        (scenarios.RID, scenarios.OTHER),
+    ],
     ids=["another robot's", "of another robot", "by another robot's estimator"],
 )
 def test_a_foreign_snapshot_leaves_the_last_in_force(

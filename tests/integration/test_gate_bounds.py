@@ -26,7 +26,6 @@ from typing import Any, Self
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.client import GateClient
 from authguard_r.client.controller import SAMPLE_MS
@@ -45,7 +44,8 @@ from authguard_r.sim.sensors import LOOK_MS
 from authguard_r.sim.sight import MARGIN_MM
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import Begun, ClientRole, Ended, Kind, Stood
-from gates import Line, RunningGate, Told, order, until
+from fixtures import scenarios
+from fixtures.gate_process import Line, RunningGate, Told, order, until
 from integration.scripted_gate import Sensors
 from integration.test_gate_streams import BINDING, MISSION, SITE
 from integration.test_gate_watching import Walk, connected, operator
@@ -345,7 +345,7 @@ def test_a_mission_that_is_taken_away_stops_the_robot(yard: Yard, how: str) -> N
         else:
             first, digest = yard._live[-1]
             told = {"version": 2, "supersedes": Digest(digest)}
-            nonce = b64(worlds.random_bytes(16))
+            nonce = b64(scenarios.random_bytes(16))
             yard.activate(msgspec.structs.replace(first, **told, nonce=nonce))
             answered_ms = now_ms()
         within(yard, trail.rest(answered_ms), WATCH_MS)
@@ -396,6 +396,7 @@ def test_a_gate_that_hangs_leaves_a_robot_that_stands(yard: Yard) -> None:
         trail.stays()
 
 
+@pytest.mark.smoke
 def test_a_gate_that_is_killed_leaves_a_robot_that_stands(yard: Yard) -> None:
     gate = yard.gate
     with yard.walk() as (_, trail):
@@ -434,7 +435,7 @@ def test_a_stream_whose_client_dies_ends(yard: Yard) -> None:
 
 def lone_mission(gate: RunningGate, **changes: Any) -> None:
     """Activate a mission whose one action needs no place and no value."""
-    (scan,) = (g for g in worlds.draft("mission.yaml")["grants"] if g["id"] == "look-out")
+    (scan,) = (g for g in scenarios.draft("mission.yaml")["grants"] if g["id"] == "look-out")
     lease = {"max": changes.pop("max", "5 s")}
     grants = [{**scan, **lease}]
     gate.activate(gate.token(gate.mission(guards=[], grants=grants, closing=None, **changes)))
@@ -478,7 +479,7 @@ def test_the_timer_alone_sees_what_nobody_tells(reason: str) -> None:
 
 
 def test_the_table_of_bounds_names_each_cause_and_its_test() -> None:
-    spec = (worlds.ROOT / "docs" / "spec" / "gate-protocol.md").read_text()
+    spec = (scenarios.ROOT / "docs" / "spec" / "gate-protocol.md").read_text()
     section = spec.split("\n### How soon a robot stands\n")[1].split("\n## ")[0]
     rows = [line for line in section.splitlines() if line.startswith("| ")][1:]
     named = [re.findall(r"`(test_\w+)`", row) for row in rows]

@@ -27,7 +27,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.ledger import SKEW_MS
 from authguard_r.wire.messages import ClientRole, Kind, Propose
-from gates import AUTHGUARD, Line, RunningGate, order, shown, until
+from fixtures.gate_process import AUTHGUARD, Line, RunningGate, order, shown, until
 from integration.test_gate_watching import FAST, operator, sensors, speed, stands
 
 HOUR_MS = 3_600_000
@@ -177,6 +177,7 @@ def test_what_moves_is_stopped_and_its_release_stays_open_for_a_person(
     stands(gate)
 
 
+@pytest.mark.smoke
 def test_nothing_is_decided_or_ordered_until_the_clock_has_caught_up(
     gate: RunningGate, active: Active, clock: WallClock
 ) -> None:

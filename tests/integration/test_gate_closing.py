@@ -15,14 +15,14 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.wire.messages import ClientRole, Kind, Propose
-from gates import Line, RunningGate, Told, order, shown, until
+from fixtures import scenarios
+from fixtures.gate_process import Line, RunningGate, Told, order, shown, until
 from integration.test_gate_watching import FAST, connected, operator, sensors, speed, stands
 
 SCAN = b"scan()"
@@ -38,7 +38,7 @@ NUMBER = count(1)
 
 def drafted(gate: RunningGate, **changes: Any) -> Mission:
     """Return a mission that closes with its one scan and may then go home."""
-    grants = {grant["id"]: grant for grant in worlds.draft()["grants"]}
+    grants = {grant["id"]: grant for grant in scenarios.draft()["grants"]}
     regions = ["dock", "pharmacy", "public-corridor"]
 
     def way(name: str, destination: str, **more: Any) -> dict[str, Any]:
@@ -272,6 +272,7 @@ def recoveries(gate: RunningGate) -> list[dict[str, Any]]:
     return [r.open for r in gate.records() if r.decision == "recover"]
 
 
+@pytest.mark.smoke
 def test_while_it_goes_home_nothing_else_is_begun_and_it_arrives(gate: RunningGate) -> None:
     with going(gate, HOME_FAST) as home:
         assert home.status == "closing"

@@ -17,12 +17,11 @@ from typing import Any
 import msgspec
 import pytest
 
-import emergencies
-import worlds
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.emergency.policy import EmergencyPolicy
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, until
+from fixtures import emergency_policies, scenarios
+from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, until
 from integration.test_gate_recovery import fill, turn_the_clock_back
 from integration.test_gate_watching import connected, operator
 
@@ -35,7 +34,7 @@ FAST = ("--speed-up", "50", "--at", "station-103")
 def site_file(folder: Path) -> Path:
     """Write the hospital with its safe place as people write it."""
     path = folder / "site.json.yaml"
-    path.write_bytes(msgspec.json.encode(emergencies.site()))
+    path.write_bytes(msgspec.json.encode(emergency_policies.site()))
     return path
 
 
@@ -44,9 +43,9 @@ def policy_now(*capabilities: dict[str, Any], **changes: Any) -> EmergencyPolicy
     now = time.time_ns() // 1_000_000
     times = {
         "not_before": to_timestamp(now - HOUR_MS),
-        "expiry": to_timestamp(now + 30 * emergencies.DAY_MS),
+        "expiry": to_timestamp(now + 30 * emergency_policies.DAY_MS),
     }
-    return emergencies.policy(*capabilities, **{**times, **changes})
+    return emergency_policies.policy(*capabilities, **{**times, **changes})
 
 
 class Ward(RunningGate):
@@ -58,12 +57,12 @@ class Ward(RunningGate):
                 "robot": FAST,
                 "estimator": True,
                 "site": site_file(folder),
-                "trust": emergencies.trust_folder(),
+                "trust": emergency_policies.trust_folder(),
                 **more,
             }
         )
         self.policy = folder / "emergency.token"
-        self.policy.write_bytes(emergencies.token(policy_now(*capabilities)))
+        self.policy.write_bytes(emergency_policies.token(policy_now(*capabilities)))
 
     def start_gate(self, *more: str) -> dict[str, Any]:
         return super().start_gate("--emergency-policy", str(self.policy), *more)
@@ -93,6 +92,7 @@ def ward(tmp_path: Path) -> Iterator[Ward]:
         yield running
 
 
+@pytest.mark.smoke
 def test_a_real_one_is_carried_out_without_a_mission_and_by_a_clock_that_is_behind(
     ward: Ward,
 ) -> None:
@@ -120,7 +120,7 @@ def test_a_real_one_is_carried_out_without_a_mission_and_by_a_clock_that_is_behi
 def test_what_a_full_disk_did_not_take_is_in_the_log_once_after_a_kill(tmp_path: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("mounting a small file system needs root")
-    often = {**emergencies.GO_SAFE, "per_hour": 60}
+    often = {**emergency_policies.GO_SAFE, "per_hour": 60}
     ward = Ward(tmp_path, often, reserve_bytes=0)
     disk = ward.folder / "disk"
     disk.mkdir()
@@ -164,7 +164,7 @@ def fill_up(ward: Ward) -> None:
     ("changes", "by", "code"),
     [
         (OVER, "safety-officer-1", "EXPIRED"),
-        ({"robot": worlds.OTHER}, "safety-officer-1", "ROBOT_MISMATCH"),
+        ({"robot": scenarios.OTHER}, "safety-officer-1", "ROBOT_MISMATCH"),
         ({}, "operator-1", "ROLE_DENIED"),
         (None, "", "MALFORMED"),
     ],
@@ -175,10 +175,10 @@ def test_a_gate_does_not_start_with_a_policy_that_does_not_count(
     ward = Ward(tmp_path)
     try:
         if changes is None:
-            ward.policy.write_bytes(msgspec.json.encode(emergencies.policy()))
+            ward.policy.write_bytes(msgspec.json.encode(emergency_policies.policy()))
         else:
             value = policy_now(**changes)
-            ward.policy.write_bytes(emergencies.token(value, by=by))
+            ward.policy.write_bytes(emergency_policies.token(value, by=by))
         words = ["--site", ward.site, "--binding", ward.binding, "--config", ward._config]
         words += ["--store", ward.store, "--run", ward.run, "--robot", ward.rid, "--demo"]
         words += ["--trust", ward.trust, "--emergency-policy", ward.policy, "--json"]

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag, b64
@@ -29,7 +28,8 @@ from authguard_r.core.token import sign_object
 from authguard_r.gate.clients import MOST_SHED
 from authguard_r.wire.frames import Frame, frame
 from authguard_r.wire.messages import Act, ClientRole, Kind, Observe, Order, Propose
-from gates import Line, RunningGate, Told, shown, until
+from fixtures import scenarios
+from fixtures.gate_process import Line, RunningGate, Told, shown, until
 from integration.test_gate_watching import FAST
 
 #: Proposals that a flooder makes at once.
@@ -47,8 +47,8 @@ NUMBER = count(1)
 
 def busy_mission(gate: RunningGate) -> Mission:
     """Return a mission of many scans, on state that does not age while the gate is held."""
-    (scan,) = (g for g in worlds.draft()["grants"] if g["id"] == "look-out")
-    budgets = {**worlds.draft()["budgets"], "rate": {"count": 100, "per": "1 s"}}
+    (scan,) = (g for g in scenarios.draft()["grants"] if g["id"] == "look-out")
+    budgets = {**scenarios.draft()["budgets"], "rate": {"count": 100, "per": "1 s"}}
     return gate.mission(
         grants=[{**scan, "repeat": 40, "starts": 40}],
         guards=[{"variable": "battery_permille", "ge": 200, "max_age": "60 s"}],
@@ -148,13 +148,14 @@ def chosen(gate: RunningGate, mission: Mission, digest: Digest) -> Order:
         mission=digest,
         grant=mission.actions[0].id,
         row=0,
-        nonce=b64(worlds.random_bytes(16)),
+        nonce=b64(scenarios.random_bytes(16)),
         expires_ms=time.time_ns() // 1_000_000 + 600_000,
     )
     signer = folder_signer(gate.trust, "operator-1")
     return Order(act=Act.SELECT, token=sign_object(value, Tag.SELECTION, signer))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     "plans",
     [[UNREADABLE], [FORBIDDEN], [UNREADABLE, FORBIDDEN] * 3],
@@ -256,7 +257,7 @@ def names(gate: RunningGate) -> set[str]:
 
 def test_what_a_flood_was_refused_is_counted_in_the_log_to_the_last_one() -> None:
     """Repeats are folded, as in a fresh set-up: a few records, which say how many there were."""
-    with RunningGate(rid=worlds.OTHER, simulate=True, refusals=0) as gate:
+    with RunningGate(rid=scenarios.OTHER, simulate=True, refusals=0) as gate:
         with flooding(gate, [UNREADABLE] * 3) as flooders:
             with held(gate):
                 for flooder in flooders:

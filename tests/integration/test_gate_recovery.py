@@ -24,7 +24,7 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.ledger import High
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, order, until
+from fixtures.gate_process import RunningGate, order, until
 from integration.test_gate_watching import FAST, GO, connected, operator, walking
 
 HOUR_MS = 3_600_000
@@ -136,6 +136,7 @@ def test_a_stop_lane_that_dies_is_started_again(gate: RunningGate) -> None:
     assert "the stop lane is gone" in alerts
 
 
+@pytest.mark.smoke
 def test_a_stop_while_no_gate_runs_is_recorded_by_the_next_one(gate: RunningGate) -> None:
     gate.activate()
     gate.kill9()

@@ -22,10 +22,10 @@ from authguard_r.keys.notes import require_all
 from authguard_r.store.segments import SEGMENT
 from authguard_r.store.sqlite import open_store, read_held, read_rows
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
+from fixtures.segmented_stores import fill
+from fixtures.small_witness import SmallWitness, log_keys
 from integration.test_rollback import SCAN
-from segmenting import fill
-from witnesses import SmallWitness, log_keys
 
 LEAST = 1_024
 #: Refused, and recorded each time.
@@ -86,6 +86,7 @@ def gate() -> Iterator[Rotating]:
         yield running
 
 
+@pytest.mark.smoke
 def test_a_gate_moves_its_oldest_records_while_it_decides(gate: Rotating) -> None:
     gate.activate()
     seen = [(told.seq, told.kind) for told in gate.records()]

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.assembly import demo_members
 from authguard_r.core.errors import RefusedError
 from authguard_r.keys.setup import init_folder
 from authguard_r.wire.messages import ClientRole, Mode
-from gates import RunningGate
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate
 
-GO = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
-HIJACKED = (worlds.HOSPITAL / "replies" / "03-hijacked-by-notice.json").read_bytes()
+GO = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+HIJACKED = (scenarios.HOSPITAL / "replies" / "03-hijacked-by-notice.json").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,7 @@ def test_enforcement_clients_refuse_a_shadow_gate_unless_they_are_told_to_take_i
         assert planner.welcome.mode is Mode.SHADOW
 
 
+@pytest.mark.smoke
 def test_a_controller_gets_nothing_from_a_shadow_gate(gate: RunningGate) -> None:
     with pytest.raises(RefusedError, match="shadow"):
         gate.client(ClientRole.CONTROLLER, "arm")
@@ -59,17 +60,18 @@ def test_every_record_of_a_shadow_run_says_so_and_every_step_is_judged(gate: Run
     assert [r.sealed["action"]["type"] for r in undecided] == ["navigate", "pick"]
 
 
+@pytest.mark.smoke
 def test_shadow_is_never_the_default() -> None:
     from authguard_r.gate.config import Peer, default_config
 
     peer = Peer(uid=1, roles=(ClientRole.PLANNER,))
     with pytest.raises(TypeError):
-        default_config(worlds.RID, (peer,))  # type: ignore[call-arg]
+        default_config(scenarios.RID, (peer,))  # type: ignore[call-arg]
 
 
 def test_a_simulated_robot_of_a_shadow_gate_moves_nothing(tmp_path: Path) -> None:
     trust = tmp_path / "trust"  # of another house: the gate above has this one's robot
-    init_folder(trust, demo_members(worlds.site(), (worlds.RID,)), now=datetime.now(UTC))
+    init_folder(trust, demo_members(scenarios.site(), (scenarios.RID,)), now=datetime.now(UTC))
     with RunningGate(mode=Mode.SHADOW, simulate=True, trust=trust) as gate:
         gate.activate()
         with gate.client(ClientRole.PLANNER, "old-road", allow_shadow=True) as planner:

@@ -24,7 +24,7 @@ from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.keys.setup import init_folder
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
 from integration.test_gate_watching import sensors, speed, stands
 
 SITE = """
@@ -205,6 +205,7 @@ def test_a_stream_is_steered_while_its_proposal_is_waited_for(gate: RunningGate)
     assert ended["steps"][0]["execution"]["outcome"] == "succeeded"
 
 
+@pytest.mark.smoke
 def test_a_sample_outside_the_signed_limits_becomes_zero(gate: RunningGate) -> None:
     stream = Stream(gate)
     assert stream.sample(800)
@@ -253,6 +254,7 @@ def test_a_stream_that_is_refused_is_none(gate: RunningGate) -> None:
     assert not [r for r in gate.records() if r.kind == "stream"]
 
 
+@pytest.mark.smoke
 def test_nobody_else_samples_or_ends_a_stream(gate: RunningGate) -> None:
     stream = Stream(gate)
     with gate.client(ClientRole.PLANNER, "thief") as thief:

@@ -20,17 +20,17 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, Told, order, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, Told, order, until
 from integration.scripted_gate import Sensors
 
-GO = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+GO = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 #: The walk takes 44 s of the robot's time; at this speed of its clock, a good two seconds.
 FAST = ("--speed-up", "8")
 #: Longest time to stand, in milliseconds, that the gate's configuration allows.
@@ -209,7 +209,7 @@ def test_a_planners_stop_is_counted_and_too_many_raise_an_alert(gate: RunningGat
 
 
 def test_refusals_in_a_row_raise_the_no_progress_alert_and_stop_the_robot() -> None:
-    hijacked = (worlds.HOSPITAL / "replies" / "03-hijacked-by-notice.json").read_bytes()
+    hijacked = (scenarios.HOSPITAL / "replies" / "03-hijacked-by-notice.json").read_bytes()
     with RunningGate(robot=FAST, estimator=True, refusals=5) as gate:
         gate.activate()
         with gate.client(ClientRole.PLANNER, "stubborn") as planner:
@@ -235,6 +235,7 @@ def test_a_silent_planner_and_a_silent_estimator_raise_one_alert_each() -> None:
         assert what == ["estimator is silent", "planner is silent"]
 
 
+@pytest.mark.smoke
 def test_a_killed_gate_leaves_a_standing_robot_and_a_suspended_mission(gate: RunningGate) -> None:
     walk, mission, digest = walking(gate)
     began = time.monotonic()

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import pytest
 
-import worlds
 from authguard_r.assembly import simulate
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import normalize
 from authguard_r.store.memory import MemoryStore
+from fixtures import scenarios
 
 HOSTILE = [
     b'{"tool":"x","\\ud800":1,"\\ud800":2}',
@@ -23,11 +23,11 @@ HOSTILE = [
 @pytest.mark.parametrize("data", HOSTILE, ids=["half a character", "escape", "long", "long twice"])
 def test_a_plan_that_cannot_be_quoted_is_refused_and_recorded(data: bytes) -> None:
     simulation = simulate(
-        worlds.trust_folder(),
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
-        start_ms=worlds.START_MS,
+        scenarios.trust_folder(),
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
+        start_ms=scenarios.START_MS,
         store=None,
     )
     with pytest.raises(MalformedError) as caught:

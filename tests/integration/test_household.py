@@ -22,8 +22,6 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-import household
-import worlds
 from authguard_r.approvals import answer
 from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
 from authguard_r.compile.answers import compile_plain
@@ -46,10 +44,12 @@ from authguard_r.report import Report
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
+from fixtures import household_sites, scenarios
 
 TASKS = Path(__file__).resolve().parents[2].parent / "shared" / "external" / "safeagentbench"
 pytestmark = [
     pytest.mark.external,
+    pytest.mark.complete,
     pytest.mark.skipif(not TASKS.is_dir(), reason=f"no public test data at {TASKS}"),
 ]
 BINDING: Binding = convert(binding_source("safeagentbench"), Binding, where="safeagentbench")
@@ -112,7 +112,7 @@ class Ending(NamedTuple):
 @cache
 def site_of(sentence: str, steps: tuple[str, ...]) -> Site:
     """Return the task's site, with every spelling that the planner uses as a name."""
-    site = household.site(sentence, *steps)
+    site = household_sites.site(sentence, *steps)
     said = {word for step in steps for word in _spellings(step)}
     objects = {}
     taken = {name for model in site.objects.values() for name in model.names}
@@ -136,32 +136,34 @@ def _letters(name: str) -> str:
 
 
 def draft(task: dict[str, Any], site: Site) -> Proposal:
-    proposer = TemplateProposer(profile=read_profile(), now_ms=worlds.NOW.utc_ms)
-    return proposer.propose(household.sentence(task), site, robot=household.ROBOT, settled=SETTLED)
+    proposer = TemplateProposer(profile=read_profile(), now_ms=scenarios.NOW.utc_ms)
+    return proposer.propose(
+        household_sites.sentence(task), site, robot=household_sites.ROBOT, settled=SETTLED
+    )
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a trust folder; every kitchen's robot has the same profile."""
     path = tmp_path_factory.mktemp("household") / "trust"
-    site = household.site("")
-    start = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
-    init_folder(path, demo_members(site, (household.ROBOT,)), now=start)
+    site = household_sites.site("")
+    start = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
+    init_folder(path, demo_members(site, (household_sites.ROBOT,)), now=start)
     return path
 
 
 def play(task: dict[str, Any], folder: Path) -> Ending:
     """Draft, sign, and let the planner's steps run; return how it ended."""
-    name, steps = f"{task['file']}:{task['line']}", household.steps(task)
-    site = site_of(household.sentence(task), steps)
+    name, steps = f"{task['file']}:{task['line']}", household_sites.steps(task)
+    site = site_of(household_sites.sentence(task), steps)
     proposal = draft(task, site)
     if proposal.questions:
         return Ending(name, "asked", questions=proposal.questions)
-    mission = compile_plain(proposal.draft, site, now=worlds.NOW, nonce=b64(bytes(16)))
+    mission = compile_plain(proposal.draft, site, now=scenarios.NOW, nonce=b64(bytes(16)))
     if not steps:
         return Ending(name, "no steps")
     simulation = simulate(
-        folder, site, BINDING, rid=household.ROBOT, start_ms=worlds.START_MS, store=None
+        folder, site, BINDING, rid=household_sites.ROBOT, start_ms=scenarios.START_MS, store=None
     )
     try:
         return _run(name, steps, mission, simulation, folder)
@@ -219,7 +221,7 @@ def _approve(simulation: Simulation, report: Report, folder: Path) -> None:
             report.judged.verified,
             grant,
             standing.requests[grant],
-            rid=household.ROBOT,
+            rid=household_sites.ROBOT,
             verdict=Answer.APPROVE,
         )
         signed = sign_object(approval, Tag.APPROVAL, folder_signer(folder, supervisor))
@@ -228,7 +230,7 @@ def _approve(simulation: Simulation, report: Report, folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def endings(folder: Path) -> list[Ending]:
-    return [play(task, folder) for task in household.tasks(TASKS)]
+    return [play(task, folder) for task in household_sites.tasks(TASKS)]
 
 
 def slot(field: str) -> str:
@@ -260,7 +262,7 @@ def test_what_is_refused_is_a_step_that_the_instruction_does_not_cover(
 
 def test_the_reference_lists_every_task_that_does_not_run(endings: list[Ending]) -> None:
     counted = Counter(ending.kind for ending in endings)
-    text = household.REFERENCE.read_text(encoding="utf-8")
+    text = household_sites.REFERENCE.read_text(encoding="utf-8")
     rows = [(e.task, e.why, [(q.field, q.candidates) for q in e.questions]) for e in endings]
-    assert household.counts(counted) in text
-    assert household.table(row for row in rows if row[1] or row[2]) in text
+    assert household_sites.counts(counted) in text
+    assert household_sites.table(row for row in rows if row[1] or row[2]) in text

@@ -18,14 +18,13 @@ from typing import Any
 import httpx2
 import pytest
 
-import worlds
 from authguard_r.assembly import demo_members
 from authguard_r.cli import call
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.setup import init_folder
 from authguard_r.wire.messages import Mode
-from gates import PATIENCE_S, RunningGate, environment, until
-from served import (
+from fixtures import scenarios
+from fixtures.decision_point import (
     BEARER,
     EVALUATION,
     GRANTED,
@@ -38,6 +37,7 @@ from served import (
     trusting,
     words,
 )
+from fixtures.gate_process import PATIENCE_S, RunningGate, environment, until
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +55,11 @@ def plain(gate: RunningGate) -> Iterator[Served]:
 
 def shown(name: str, folder: Path | None = None) -> ssl.SSLContext:
     """Return what a client of this name shows and trusts."""
-    key = (folder or worlds.trust_folder()) / "keys" / name
+    key = (folder or scenarios.trust_folder()) / "keys" / name
     return trusting(Path(f"{key}.cert.pem"), Path(f"{key}.key.pem"))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     "headers",
     [
@@ -189,7 +190,7 @@ def test_a_certificate_of_the_trust_set_up_says_who_asks(gate: RunningGate) -> N
 
 def test_a_certificate_of_another_root_is_nobodys(gate: RunningGate, tmp_path: Path) -> None:
     foreign = tmp_path / "trust"
-    init_folder(foreign, demo_members(worlds.site(), (worlds.RID,)), now=datetime.now(UTC))
+    init_folder(foreign, demo_members(scenarios.site(), (scenarios.RID,)), now=datetime.now(UTC))
     with (
         serving(gate, *tls_words(), "--client-certificates", token=False) as served,
         served.client(headers={}, verify=shown("operator-1", foreign)) as client,
@@ -204,8 +205,8 @@ def test_a_certificate_of_another_root_is_nobodys(gate: RunningGate, tmp_path: P
 
 def test_a_revoked_certificate_ends_with_the_next_request(tmp_path: Path) -> None:
     copied = tmp_path / "trust"
-    shutil.copytree(worlds.trust_folder(), copied)
-    with RunningGate(simulate=True, rid=worlds.OTHER, trust=copied) as gate:
+    shutil.copytree(scenarios.trust_folder(), copied)
+    with RunningGate(simulate=True, rid=scenarios.OTHER, trust=copied) as gate:
         more = (*tls_words(), "--client-certificates", "--client-role", "operator")
         with (
             serving(gate, *more, token=False) as served,
@@ -279,7 +280,7 @@ def test_a_set_up_of_two_roots_is_served_by_token_alone(gate: RunningGate, tmp_p
     both = tmp_path / "trust"
     init_folder(
         both,
-        demo_members(worlds.site(), (worlds.RID,)),
+        demo_members(scenarios.site(), (scenarios.RID,)),
         now=datetime.now(UTC),
         algorithms=(Algorithm.ED25519, Algorithm.ML_DSA_65),
     )
@@ -290,10 +291,10 @@ def test_a_set_up_of_two_roots_is_served_by_token_alone(gate: RunningGate, tmp_p
 
 def test_a_gate_of_another_root_or_mode_is_not_asked(gate: RunningGate, tmp_path: Path) -> None:
     foreign = tmp_path / "trust"
-    init_folder(foreign, demo_members(worlds.site(), (worlds.RID,)), now=datetime.now(UTC))
+    init_folder(foreign, demo_members(scenarios.site(), (scenarios.RID,)), now=datetime.now(UTC))
     assert ended(gate, "--trust", foreign)[0] == 4
-    assert ended(gate, "--robot", worlds.OTHER)[0] == 4
+    assert ended(gate, "--robot", scenarios.OTHER)[0] == 4
     code, said = ended(gate, "--shadow")
     assert (code, "enforce" in said) == (1, True)
-    with RunningGate(mode=Mode.SHADOW, simulate=True, rid=worlds.OTHER) as shadow:
+    with RunningGate(mode=Mode.SHADOW, simulate=True, rid=scenarios.OTHER) as shadow:
         assert ended(shadow)[0] == 1

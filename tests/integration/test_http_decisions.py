@@ -16,9 +16,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import worlds
-from gates import PATIENCE_S, RunningGate, until
-from served import (
+from fixtures import scenarios
+from fixtures.decision_point import (
     BEARER,
     EVALUATION,
     EVALUATIONS,
@@ -29,9 +28,10 @@ from served import (
     serving,
     starts,
 )
+from fixtures.gate_process import PATIENCE_S, RunningGate, until
 
 SCOPE = "DESTINATION_OUT_OF_SCOPE"
-ELSEWHERE = question("navigate_to", worlds.OTHER, destination="Pharmacy")
+ELSEWHERE = question("navigate_to", scenarios.OTHER, destination="Pharmacy")
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +49,7 @@ def served(house: tuple[RunningGate, Served]) -> Served:
     return house[1]
 
 
+@pytest.mark.smoke
 def test_a_permit_uses_nothing_up_and_says_so(house: tuple[RunningGate, Served]) -> None:
     gate, served = house
     before, used = len(gate.records()), starts(gate)
@@ -57,12 +58,13 @@ def test_a_permit_uses_nothing_up_and_says_so(house: tuple[RunningGate, Served])
         assert answer["decision"] is True
     said = answer["context"]
     assert (said["authoritative"], said["consumes"], said["holds_ms"]) == (False, False, 0)
-    assert (said["outcome"], said["reasons"], said["robot"]) == ("accept", [], worlds.RID)
+    assert (said["outcome"], said["reasons"], said["robot"]) == ("accept", [], scenarios.RID)
     assert said["mission"]["mid"] == "deliver-p1"
     assert len(said["action_digest"]) == 43
     assert (len(gate.records()), starts(gate)) == (before, used)
 
 
+@pytest.mark.smoke
 def test_what_the_mission_does_not_grant_is_denied_with_codes_alone(served: Served) -> None:
     answer = served.post(EVALUATION, HIJACKED)
     said = answer.json()
@@ -76,7 +78,7 @@ def test_what_the_mission_does_not_grant_is_denied_with_codes_alone(served: Serv
     ("asked", "reason"),
     [
         (ELSEWHERE, "ROBOT_MISMATCH"),
-        ({**GRANTED, "resource": {"type": "building", "id": worlds.RID}}, "ROBOT_MISMATCH"),
+        ({**GRANTED, "resource": {"type": "building", "id": scenarios.RID}}, "ROBOT_MISMATCH"),
         (question("open_every_door"), "TOOL_UNKNOWN"),
         (question("navigate_to", destination="Atlantis"), "NAME_UNKNOWN"),
         (question("navigate_to", destination="Pharmacy", fast=True), "FIELD_UNKNOWN"),

@@ -14,13 +14,12 @@ from typing import Any
 
 import httpx2
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.core.mission import Mission
 from authguard_r.http.reading import plan_of
 from authguard_r.wire.messages import ClientRole, Mode
-from gates import PATIENCE_S, RunningGate, until
-from served import (
+from fixtures import scenarios
+from fixtures.decision_point import (
     BEARER,
     EVALUATION,
     EVALUATIONS,
@@ -31,6 +30,7 @@ from served import (
     serving,
     starts,
 )
+from fixtures.gate_process import PATIENCE_S, RunningGate, until
 
 SCOPE = "DESTINATION_OUT_OF_SCOPE"
 SCAN = {"tool": "scan", "arguments": {}}
@@ -39,7 +39,7 @@ INTO_ISOLATION = {
     "destination": "isolation-room",
     "regions": ["dock", "isolation-room", "public-corridor"],
 }
-ELSEWHERE = question("navigate_to", worlds.OTHER, destination="Pharmacy")
+ELSEWHERE = question("navigate_to", scenarios.OTHER, destination="Pharmacy")
 
 
 def test_a_gate_that_is_away_is_no_permit_and_comes_back(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def asks(gate: RunningGate) -> Mission:
         {**grant, "rows": [INTO_ISOLATION], "repeat": 5, "starts": 5, "until": []}
         if grant["id"] == "go-to-pharmacy"
         else grant
-        for grant in worlds.draft()["grants"]
+        for grant in scenarios.draft()["grants"]
     ]
     return gate.mission(grants=grants, limits={})
 

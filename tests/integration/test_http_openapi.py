@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.http.process import openapi
-from gates import RunningGate, until
-from served import TOKEN, Served, serving
+from fixtures import scenarios
+from fixtures.decision_point import TOKEN, Served, serving
+from fixtures.gate_process import RunningGate, until
 
 SCHEMATHESIS = Path(sys.executable).parent / "schemathesis"
 
@@ -26,19 +26,15 @@ SCHEMATHESIS = Path(sys.executable).parent / "schemathesis"
 def checked(served: Served, folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     """Return what schemathesis says of a server."""
     env = {**os.environ, "SCHEMATHESIS_HOOKS": "http_numbers"}
-    env["PYTHONPATH"] = str(worlds.ROOT / "tests")
+    env["PYTHONPATH"] = str(scenarios.ROOT / "tests" / "programs")
     said = [str(SCHEMATHESIS), "--no-color", "run", f"{served.url}/openapi.json"]
     said += ["-H", f"Authorization: Bearer {TOKEN}", "--checks", "all", *more]
     said += ["--generation-deterministic"]
     return subprocess.run(said, capture_output=True, text=True, cwd=folder, env=env, check=False)
 
 
-@pytest.mark.parametrize("examples", [5, pytest.param(500, marks=pytest.mark.campaign)])
-def test_it_does_what_it_says(
-    tmp_path: Path, examples: int, request: pytest.FixtureRequest
-) -> None:
-    if examples > 5 and "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("a long campaign: pytest -m campaign")
+@pytest.mark.parametrize("examples", [5, pytest.param(500, marks=pytest.mark.nightly)])
+def test_it_does_what_it_says(tmp_path: Path, examples: int) -> None:
     with RunningGate(robot=True, estimator=True, refusals=0) as gate:
         gate.activate()
         with serving(gate, "--propose") as served:

@@ -18,17 +18,16 @@ import mcp_types as types
 import pytest
 from mcp import Client, StdioServerParameters, stdio_client
 
-import asking
-import worlds
-from attesting import attesting
 from authguard_r.assembly import folder_signer
 from authguard_r.core.approval import Verdict
 from authguard_r.mcp import asking as gateway_asking
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, authguard, environment
+from fixtures import approvals, scenarios
+from fixtures.estimator import attesting
+from fixtures.gate_process import RunningGate, authguard, environment
 
 ERAS = ("legacy", "auto")
-SERVER = worlds.ROOT / "tests" / "courier_server.py"
+SERVER = scenarios.ROOT / "tests" / "programs" / "courier_mcp_server.py"
 CALL = ("navigate_to", {"destination": "Isolation Room", "speed": 0.8})
 #: What a person does when the form is shown, and what is answered there.
 Person = Callable[[], str]
@@ -48,7 +47,7 @@ class House:
         """Sign every open request as the supervisor, at a console of her own."""
         with self.gate.client(ClientRole.OPERATOR, "console") as console:
             for question in console.approvals():
-                key = folder_signer(worlds.trust_folder(), "supervisor-1")
+                key = folder_signer(scenarios.trust_folder(), "supervisor-1")
                 console.answer(question, Verdict.APPROVE, key)
         return "accept"
 
@@ -84,7 +83,7 @@ def house(tmp_path: Path) -> Iterator[House]:
     calls = tmp_path / "calls.jsonl"
     calls.touch()
     with RunningGate(refusals=0) as gate, attesting(gate):
-        gate.activate(gate.token(asking.at_gate(gate)))
+        gate.activate(gate.token(approvals.at_gate(gate)))
         yield House(gate, calls)
 
 

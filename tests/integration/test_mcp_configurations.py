@@ -23,12 +23,12 @@ import pytest
 from mcp import Client, StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
 
-import worlds
-from attesting import attesting
-from gates import AUTHGUARD, RunningGate
+from fixtures import scenarios
+from fixtures.estimator import attesting
+from fixtures.gate_process import AUTHGUARD, RunningGate
 
-SERVER = worlds.ROOT / "tests" / "courier_server.py"
-PAGE = (worlds.ROOT / "docs" / "howto" / "mcp.md").read_text()
+SERVER = scenarios.ROOT / "tests" / "programs" / "courier_mcp_server.py"
+PAGE = (scenarios.ROOT / "docs" / "howto" / "mcp.md").read_text()
 BLOCK = re.compile(r"^```(json|toml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TOKEN = "0123456789abcdefghijklmn"
 #: How clients write a value that is not in the file.

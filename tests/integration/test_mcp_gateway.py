@@ -32,9 +32,6 @@ from mcp import Client, MCPError, StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types.methods import SERVER_NOTIFICATIONS, SERVER_REQUESTS, SPEC_CLIENT_METHODS
 
-import courier_server
-import worlds
-from attesting import Attested, attesting
 from authguard_r.cli import call
 from authguard_r.client import GateClient
 from authguard_r.client.link import Log
@@ -58,12 +55,15 @@ from authguard_r.tools.ends import first_of
 from authguard_r.tools.planner import Asked
 from authguard_r.tools.server import CallError
 from authguard_r.wire.messages import ClientRole, Mode
-from courier_server import FIELDS
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, authguard, environment, until
-from guarded import often
-from worlds import ROOT
+from fixtures import scenarios
+from fixtures.estimator import Attested, attesting
+from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, authguard, environment, until
+from fixtures.guarded_tools import often
+from fixtures.scenarios import ROOT
+from programs import courier_mcp_server
+from programs.courier_mcp_server import FIELDS
 
-SERVER = ROOT / "tests" / "courier_server.py"
+SERVER = ROOT / "tests" / "programs" / "courier_mcp_server.py"
 #: Both eras of the protocol, as a client asks for them.
 ERAS = ("legacy", "auto")
 SCOPE = "DESTINATION_OUT_OF_SCOPE"
@@ -209,13 +209,14 @@ def verdict(result: types.CallToolResult) -> dict[str, Any]:
     return beside or dict((result.structured_content or {}).get("authguard-r", {}))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("era", ERAS)
 def test_what_the_mission_grants_arrives_and_a_hijack_never_does(house: House, era: str) -> None:
     async def talk() -> None:
         async with house.client(era=era) as client:
             went = await client.call_tool("navigate_to", {"destination": "Pharmacy"})
             assert not went.is_error
-            assert [item.text for item in went.content] == [courier_server.SIGN]
+            assert [item.text for item in went.content] == [courier_mcp_server.SIGN]
             assert verdict(went)["execution"] == "succeeded"
             hijacked = await client.call_tool("navigate_to", {"destination": "Isolation Room"})
             assert hijacked.is_error
@@ -267,6 +268,7 @@ def test_l1_nothing_that_a_server_says_by_itself_reaches_the_planner(house: Hous
     assert all("error" in line for line in back)
 
 
+@pytest.mark.smoke
 def test_l5_a_form_that_a_client_filled_in_approves_nothing(house: House) -> None:
     """The forged accept of the first call: there is nobody who reads it."""
 
@@ -340,8 +342,8 @@ def test_a_server_whose_tools_changed_is_not_used(house: House, tmp_path: Path) 
 
 def pinned() -> bytes:
     """Return what the server's tools are, as they are pinned."""
-    names = list(courier_server.FIELDS)
-    return pins_bytes(pins_of(map(courier_server.tool, names)))
+    names = list(courier_mcp_server.FIELDS)
+    return pins_bytes(pins_of(map(courier_mcp_server.tool, names)))
 
 
 @contextmanager
@@ -604,7 +606,7 @@ def test_what_is_no_text_passes_and_every_word_in_it_is_noted(house: House) -> N
 
 def demanding(folder: Path, demand: dict[str, Any]) -> Path:
     """Return the courier's binding, with what a scan's answer has to say."""
-    plain = yaml.safe_load((worlds.HOSPITAL / "binding.yaml").read_text())
+    plain = yaml.safe_load((scenarios.HOSPITAL / "binding.yaml").read_text())
     plain["tools"]["scan"]["succeeds"] = demand
     path = folder / "binding.yaml"
     path.write_text(yaml.safe_dump(plain))
@@ -747,7 +749,7 @@ def test_the_commands_say_what_becomes_of_each_tool(house: House, tmp_path: Path
 
 def odd(kind: str) -> tuple[str, ...]:
     """Return the command of a server that is odd in this way."""
-    return (sys.executable, str(ROOT / "tests" / "odd_mcp_server.py"), kind)
+    return (sys.executable, str(ROOT / "tests" / "programs" / "misbehaving_mcp_server.py"), kind)
 
 
 @pytest.mark.parametrize(
@@ -840,15 +842,15 @@ def test_without_its_server_a_body_begins_nothing_and_stands(house: House) -> No
         upstream = Upstream(("x",), pins=None, environment={}, log=Log(), changed=lambda: None)
         body = ToolBody(house.gate.rid, upstream, means, lambda: None)
         with pytest.raises(ControllerError, match="not there"):
-            body.begin(worlds.navigate("dock", "pharmacy"), worlds.TICKET)
+            body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         with pytest.raises(CallError):
             await upstream.call("scan", {}, 1.0)
         body.brake()
-        body.steer(worlds.TICKET, {})
-        body.close(worlds.TICKET)
+        body.steer(scenarios.TICKET, {})
+        body.close(scenarios.TICKET)
         body.pass_time(5)
         assert body.stands
-        assert not body.streams(worlds.navigate("dock", "pharmacy"))
+        assert not body.streams(scenarios.navigate("dock", "pharmacy"))
 
     run(talk)
 
@@ -911,9 +913,9 @@ def test_what_is_wrong_on_the_command_line_is_said_before_anything_starts(
     tmp_path: Path, more: tuple[str, ...], said: str
 ) -> None:
     words = ["mcp", "--robot", "courier-1", "--run", str(tmp_path), *more]
-    words += ["--site", str(worlds.HOSPITAL / "site.yaml")]
-    words += ["--binding", str(worlds.HOSPITAL / "binding.yaml")]
-    words += ["--trust", str(worlds.trust_folder()), "--", "nothing"]
+    words += ["--site", str(scenarios.HOSPITAL / "site.yaml")]
+    words += ["--binding", str(scenarios.HOSPITAL / "binding.yaml")]
+    words += ["--trust", str(scenarios.trust_folder()), "--", "nothing"]
     code, out = called(words)
     assert code == 2
     assert said in out

@@ -20,10 +20,10 @@ import pytest
 import yaml
 from mcp import Client, StdioServerParameters, stdio_client
 
-import worlds
-from attesting import attesting
 from authguard_r.normalize.shipped import binding_source
-from gates import AUTHGUARD, RunningGate
+from fixtures import scenarios
+from fixtures.estimator import attesting
+from fixtures.gate_process import AUTHGUARD, RunningGate
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_ROS_MCP", "")
 pytestmark = pytest.mark.skipif(
@@ -40,7 +40,7 @@ def arrived(tmp_path: Path) -> Iterator[Path]:
     """Serve a rosbridge where ros-mcp looks for one; yield the file of what arrives."""
     file = tmp_path / "arrived.jsonl"
     file.touch()
-    words = [BIN / "python", worlds.ROOT / "tests" / "rosbridge_server.py", file]
+    words = [BIN / "python", scenarios.ROOT / "tests" / "programs" / "rosbridge_server.py", file]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -53,7 +53,7 @@ def arrived(tmp_path: Path) -> Iterator[Path]:
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
     """The hospital, in the standard words that the shipped binding speaks."""
-    plain = yaml.safe_load((worlds.HOSPITAL / "site.yaml").read_text())
+    plain = yaml.safe_load((scenarios.HOSPITAL / "site.yaml").read_text())
     del plain["vocabulary"]
     path = tmp_path / "site.yaml"
     path.write_text(yaml.safe_dump({**plain, "words": "standard"}))

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-import worlds
-from attesting import attesting
 from authguard_r.mcp.standard import MAX_MESSAGE
-from gates import PATIENCE_S, RunningGate, authguard, environment
+from fixtures import scenarios
+from fixtures.estimator import attesting
+from fixtures.gate_process import PATIENCE_S, RunningGate, authguard, environment
 
-SERVER = worlds.ROOT / "tests" / "courier_server.py"
+SERVER = scenarios.ROOT / "tests" / "programs" / "courier_mcp_server.py"
 HELLO = {
     "protocolVersion": "2025-11-25",
     "capabilities": {},

@@ -21,6 +21,8 @@ import pytest
 from missionpair.campaign.log import read_log
 from missionpair.servers import SERVERS
 
+pytestmark = pytest.mark.complete
+
 COMMAND = [sys.executable, "-c", "from missionpair.cli import main; main()"]
 RUN = ["run", "live", "--planner", "hijacked", "--pairs", "4"]
 FOUR = [part for name in ("none", "safety", "mission", "both") for part in ("--defense", name)]

@@ -20,6 +20,8 @@ from missionpair.pair import Suite
 from missionpair.suites import load, write_suite
 from missionpair.words import Access, Kind
 
+pytestmark = pytest.mark.complete
+
 #: Tries of the planner that attacks, for each pair.
 TRIES = 24
 

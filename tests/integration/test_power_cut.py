@@ -4,7 +4,8 @@
 The file system is SQLite's own interface over memory. It knows which bytes were synced; when the
 power goes, any of the others may have reached the disk or not, whole or in sectors of 512 bytes,
 in any order, and a file that was made or removed since its folder was synced may be gone or back.
-The same harness with a weaker `synchronous` loses acts, so it can tell (L17).
+The store opens its files by itself, with its own settings. The same harness loses acts once a test
+weakens `synchronous` behind the store's back, so it can tell (L17).
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from typing import Any, NamedTuple
 
 import apsw
 
-import worlds
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.assembly import folder_signer
 from authguard_r.audit.checkpoint import read_checkpoint
@@ -31,9 +31,12 @@ from authguard_r.core.encoding import Tag, decode, digest_of
 from authguard_r.core.standing import Outcome, Spend, Standing, Use, reserve, settle
 from authguard_r.ledger import Act, High, Ledger
 from authguard_r.store.sqlite import SqliteStore, open_store
+from fixtures import scenarios
 
 SEED = int(os.environ.get("AUTHGUARD_SEED", "1704"))
 SECTOR = 512
+#: What SQLite calls `PRAGMA synchronous = FULL`: a sync for every commit, in a WAL too.
+FULL = 2
 LOGS = apsw.SQLITE_OPEN_WAL | apsw.SQLITE_OPEN_MAIN_JOURNAL | apsw.SQLITE_OPEN_SUPER_JOURNAL
 STORE = Path("/store.db")
 #: Operations on the disk until the power goes; opening a new store alone takes about 20.
@@ -41,10 +44,10 @@ LONGEST = 260
 #: Keys that grow and shrink beside the standing, so that pages are freed and used again.
 KEYS = 12
 
-VERIFIED = worlds.verified()
+VERIFIED = scenarios.verified()
 GRANT = next(grant for grant in VERIFIED.mission.actions if grant.id == "look-out")
 MID = VERIFIED.mission.mid
-GATE = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
+GATE = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
 _NAMES = itertools.count()
 
 
@@ -236,23 +239,33 @@ class Ticking:
 
 
 class Machine:
-    """One robot's ledger on a disk, from power on to power off."""
+    """One robot's ledger on a disk, from power on to power off.
 
-    def __init__(self, disk: Disk, dice: random.Random, *, start_ms: int, synchronous: str) -> None:
+    Args:
+        disk: what the store writes to.
+        dice: what to do next.
+        start_ms: the clock at power on.
+        weakened: `synchronous` of a store that is to break its promises; None: the store's own.
+    """
+
+    def __init__(
+        self, disk: Disk, dice: random.Random, *, start_ms: int, weakened: str | None = None
+    ) -> None:
         self._disk = disk
         self._dice = dice
         self.store: SqliteStore = open_store(STORE, vfs=disk.name)
         pages = dice.choice((3, 10, 40, 1_000))
         self.store._connection.execute(f"PRAGMA wal_autocheckpoint = {pages}").fetchall()
-        self.store._connection.execute(f"PRAGMA synchronous = {synchronous}")
+        if weakened is not None:
+            self.store._connection.execute(f"PRAGMA synchronous = {weakened}")
         self.ledger = Ledger(
             self.store,
             Ticking(start_ms),
-            robot=worlds.RID,
+            robot=scenarios.RID,
             salts=bytes,
             genesis={"site": "hospital"},
         )
-        self.checkpoints = Checkpoints(self.ledger, robot=worlds.RID, signer=GATE)
+        self.checkpoints = Checkpoints(self.ledger, robot=scenarios.RID, signer=GATE)
         #: True once the power went while a checkpoint was being committed.
         self.cut_in_checkpoint = False
 
@@ -281,7 +294,7 @@ class Machine:
 
     def release(self, act: Act) -> tuple[int, bytes]:
         """Use one start, open one release, and hold a value of some length."""
-        standing = act.standing(MID) or worlds.active(VERIFIED)
+        standing = act.standing(MID) or scenarios.active(VERIFIED)
         ticket = digest_of(Tag.ACTION, act.head()[0])
         after = reserve(standing, GRANT, ticket=ticket, spend=Spend(), now=act.now, per_ms=100)
         act.hold(after)
@@ -316,7 +329,7 @@ def _value(seq: int, size: int) -> bytes:
 
 def look(disk: Disk, *, start_ms: int) -> tuple[tuple[Row, ...], Note | None]:
     """Open what is left; return its log and newest checkpoint; nothing in it is half done."""
-    machine = Machine(disk, random.Random(0), start_ms=start_ms, synchronous="FULL")
+    machine = Machine(disk, random.Random(0), start_ms=start_ms)
     connection = machine.store._connection
     assert connection.execute("PRAGMA integrity_check").get == "ok"
     rows = tuple(
@@ -370,7 +383,7 @@ def require_one_story(rows: tuple[Row, ...], held: dict[tuple[str, str], bytes])
     assert decode(held["clock", "high"], High).utc_ms >= last_ms
 
 
-class BrokenPromiseError(Exception):
+class BrokenPromiseError(AssertionError):
     """An acknowledged act is lost, or what is left is damaged."""
 
 
@@ -388,7 +401,7 @@ class Lived(NamedTuple):
     kept: int
 
 
-def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> Lived:
+def one_life(dice: random.Random, *, cuts: int, weakened: str | None = None) -> Lived:
     """Cut the power again and again on one disk; return what became of it.
 
     Raises:
@@ -399,9 +412,9 @@ def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> Lived:
     acknowledged: dict[int, bytes] = {}
     in_checkpoints = kept = 0
     for number in range(cuts):
-        start_ms = worlds.START_MS + 3_600_000 * number
+        start_ms = scenarios.START_MS + 3_600_000 * number
         disk = Disk(files, dice, dice.randrange(1, LONGEST))
-        machine = Machine(disk, dice, start_ms=start_ms, synchronous=synchronous)
+        machine = Machine(disk, dice, start_ms=start_ms, weakened=weakened)
         machine.work(acknowledged)
         files = disk.pull()
         machine.ledger.close()
@@ -422,12 +435,22 @@ def one_life(dice: random.Random, *, cuts: int, synchronous: str) -> Lived:
     return Lived(len(acknowledged), in_checkpoints, kept)
 
 
+def test_a_store_syncs_every_commit_and_its_checkpoints(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "store.db")
+    for _ in ("made", "opened again"):
+        assert store._connection.execute("PRAGMA synchronous").get == FULL
+        assert store._connection.execute("PRAGMA journal_mode").get == "wal"
+        store.close()
+        store = open_store(tmp_path / "store.db")
+    store.close()
+
+
 def test_a_thousand_power_cuts_lose_nothing_acknowledged() -> None:
     cuts, lives = 4, []
     for life in range(250):
         print(f"AUTHGUARD_SEED={SEED} life {life}")
         dice = random.Random(f"{SEED}-{life}")
-        lives.append(one_life(dice, cuts=cuts, synchronous="FULL"))
+        lives.append(one_life(dice, cuts=cuts))
     acknowledged, in_checkpoints, kept = map(sum, zip(*lives, strict=True))
     print(f"{acknowledged} acknowledged, {in_checkpoints} cuts in checkpoints, {kept} kept")
     assert acknowledged > 250 * cuts * 5  # the cuts fall among acts, not only while opening
@@ -436,12 +459,12 @@ def test_a_thousand_power_cuts_lose_nothing_acknowledged() -> None:
     assert 0 < kept < in_checkpoints
 
 
-def broken_promises(synchronous: str) -> list[str]:
+def broken_promises(weakened: str) -> list[str]:
     """Return what became of the lives in which a weaker store kept less than it promised."""
     broken: list[str] = []
     for life in range(40):
         try:
-            one_life(random.Random(f"{SEED}-{life}"), cuts=2, synchronous=synchronous)
+            one_life(random.Random(f"{SEED}-{life}"), cuts=2, weakened=weakened)
         except BrokenPromiseError as error:
             broken.append(error.args[0])
     return broken

@@ -16,8 +16,8 @@ from authguard_r.store.folder import Folder
 from authguard_r.store.moving import Mover
 from authguard_r.store.segments import PART
 from authguard_r.store.sqlite import SqliteStore, open_store
+from fixtures.segmented_stores import SECRET, copying, fill
 from integration.test_power_cut import STORE, Disk, File
-from segmenting import SECRET, copying, fill
 
 SEED = int(os.environ.get("AUTHGUARD_SEED", "2306"))
 LIVES, CUTS = 150, 4

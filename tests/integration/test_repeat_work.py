@@ -18,8 +18,6 @@ import pytest
 
 import authguard_reference as oracle
 import authguard_reference.templates as oracle_templates
-import deliveries
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.prompts import Prompts, activated, count_prompts
 from authguard_r.audit.record import read_record
@@ -33,10 +31,13 @@ from authguard_r.ledger import Act
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.sqlite import read_held, read_rows
 from authguard_r.templates import combinations, expand
-from cases import plain_facts
-from deliveries import instance, template, token
+from fixtures import scenarios, templates
+from fixtures.decision_cases import plain_facts
+from fixtures.templates import instance, template, token
 from missionpair.bench import approve, make_bench, propose
 from missionpair.suite import restricted
+
+pytestmark = pytest.mark.complete
 
 
 def figure(rows: Any, standing: Any) -> Prompts:
@@ -46,13 +47,13 @@ def figure(rows: Any, standing: Any) -> Prompts:
 
 def next_one(sim: Simulation, number: int, fill: Any, at: Path | None = None) -> str:
     """Carry one instance out, once the template's rate allows it."""
-    sim.robot.state = worlds.world()  # somebody brought the packages back
-    sim.robot.pause(10 * deliveries.MINUTE_MS)
+    sim.robot.state = scenarios.world()  # somebody brought the packages back
+    sim.robot.pause(10 * templates.MINUTE_MS)
     now = sim.robot.wall_ms()
     window = {"not_before": to_timestamp(now), "expiry": to_timestamp(now + 1_400_000)}
     made = instance(number, fill=fill, **window)
     sim.gate.management.activate(token(made, at=at))
-    deliveries.delivered(sim, fill)
+    templates.delivered(sim, fill)
     standing = sim.gate.management.standing(made.mid)
     assert standing is not None
     assert standing.prompts == 0
@@ -61,7 +62,7 @@ def next_one(sim: Simulation, number: int, fill: Any, at: Path | None = None) ->
 
 def test_one_signature_carries_fifty_missions() -> None:
     """The figure: a fiftieth of a prompt for each mission, where fifty missions cost fifty."""
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     fills = islice(cycle(combinations(template())), 50)
     statuses = {next_one(sim, number, fill) for number, fill in enumerate(fills, 1)}
     assert statuses == {"completed"}
@@ -73,10 +74,10 @@ def test_one_signature_carries_fifty_missions() -> None:
 
 
 def test_a_mission_that_is_signed_each_time_asks_each_time() -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     fill = instance().fill
     for number in (1, 2):
-        sim.robot.state = worlds.world()
+        sim.robot.state = scenarios.world()
         said = instance(number)
         made = expand(
             template(),
@@ -86,8 +87,8 @@ def test_a_mission_that_is_signed_each_time_asks_each_time() -> None:
             not_before=said.not_before,
             expiry=said.expiry,
         )
-        sim.gate.management.activate(worlds.token(made))
-        deliveries.delivered(sim, fill)
+        sim.gate.management.activate(scenarios.token(made))
+        templates.delivered(sim, fill)
     found = figure(sim.gate.ledger.store.rows(), sim.gate.management.standing)  # type: ignore[attr-defined]
     assert found == Prompts(missions=2, signatures=2, requests=0, choices=0)
     assert found.per_mission == 1
@@ -106,7 +107,7 @@ def test_approvals_count_as_prompts(tmp_path: Path) -> None:
 
 
 def test_an_empty_log_asked_nobody() -> None:
-    sim = deliveries.simulation()
+    sim = templates.simulation()
     found = figure(sim.gate.ledger.store.rows(), sim.gate.management.standing)  # type: ignore[attr-defined]
     assert (found.asked, found.per_mission) == (0, 0)
     gone = count_prompts([], {"lost": None})  # type: ignore[dict-item]
@@ -117,22 +118,22 @@ def test_an_empty_log_asked_nobody() -> None:
 
 
 def test_a_restart_in_the_middle_of_a_mission_goes_on_and_counts_on(tmp_path: Path) -> None:
-    at = deliveries.folder()
-    sim = deliveries.admitted(at, store=tmp_path / "robot.db")
+    at = templates.folder()
+    sim = templates.admitted(at, store=tmp_path / "robot.db")
     sim.gate.management.activate(token(at=at))
-    first, *rest = deliveries.actions(instance().fill)
-    assert worlds.propose(sim, first).outcome == "succeeded"
+    first, *rest = templates.actions(instance().fill)
+    assert scenarios.propose(sim, first).outcome == "succeeded"
     end, state = sim.robot.wall_ms(), sim.robot.state
     sim.gate.close()
-    again = deliveries.simulation(at, store=tmp_path / "robot.db", start_ms=end, state=state)
+    again = templates.simulation(at, store=tmp_path / "robot.db", start_ms=end, state=state)
     for action in rest:
-        assert worlds.propose(again, action).outcome == "succeeded"
+        assert scenarios.propose(again, action).outcome == "succeeded"
     assert next_one(again, 2, instance().fill, at) == "completed"
     again.gate.close()
     rows = list(read_rows(tmp_path / "robot.db"))
     numbers = [record.open["instance"] for record in activations(rows)]
     assert numbers == [1, 2]
-    held = read_held(tmp_path / "robot.db", "template", deliveries.digest())
+    held = read_held(tmp_path / "robot.db", "template", templates.digest())
     assert held is not None
     assert msgspec.json.decode(held)["used"] == 2
 
@@ -150,7 +151,7 @@ STEPS = ("keep_token", "hold", "make_active", "put", "record")
 def test_an_activation_that_fails_in_the_middle_counts_nothing(
     tmp_path: Path, step: str, when: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sim = deliveries.admitted(store=tmp_path / "robot.db")
+    sim = templates.admitted(store=tmp_path / "robot.db")
     carried_out = getattr(Act, step)
 
     def fails(act: Act, *arguments: Any) -> Any:
@@ -178,11 +179,11 @@ def payload(text: str) -> Any:
 
 def test_the_log_alone_is_enough_to_decide_again(tmp_path: Path) -> None:
     """The oracle fills the template from both tokens in the record, and decides every step."""
-    sim = deliveries.admitted(store=tmp_path / "robot.db")
+    sim = templates.admitted(store=tmp_path / "robot.db")
     sim.gate.management.activate(token())
-    go = worlds.navigate
-    for action in (*deliveries.actions(instance().fill)[:2], go("pharmacy", "station-102")):
-        worlds.propose(sim, action)
+    go = scenarios.navigate
+    for action in (*templates.actions(instance().fill)[:2], go("pharmacy", "station-102")):
+        scenarios.propose(sim, action)
     sim.gate.close()
     rows = list(read_rows(tmp_path / "robot.db"))
     genesis = json.loads(rows[0].record)["open"]
@@ -219,7 +220,7 @@ def test_the_log_alone_is_enough_to_decide_again(tmp_path: Path) -> None:
 
 
 def test_the_record_names_the_scheduler_the_issuer_and_the_template() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     sim.gate.management.activate(token())
     (record,) = activations(sim.gate.ledger.store.rows())  # type: ignore[attr-defined]
     assert record.link.mid == "deliver.1"
@@ -227,7 +228,7 @@ def test_the_record_names_the_scheduler_the_issuer_and_the_template() -> None:
     assert said == {
         "by": "operator-1",
         "scheduler": "scheduler-0",
-        "template": deliveries.digest(),
+        "template": templates.digest(),
         "instance": 1,
     }
     assert b64(bytes(16)) != instance().nonce

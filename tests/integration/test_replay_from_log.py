@@ -19,8 +19,6 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-import deliveries
-import worlds
 from authguard_r.approvals.organization import OrganizationPolicy
 from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
 from authguard_r.audit.record import (
@@ -48,13 +46,14 @@ from authguard_r.site.model import Emergency, site_digest
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole, Mode
-from gates import RunningGate, until
+from fixtures import scenarios, templates
+from fixtures.gate_process import RunningGate, until
 from missionpair.ablation import without
 from missionpair.bench import Bench, approve, make_bench, propose
 from missionpair.suite import ATTACKS, BENIGN, restricted
 from missionpair.systems import System, run_trial
 
-BEGIN = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 PLAN = b'{"tool": "navigate_to", "arguments": {"destination": "Pharmacy", "speed": 0.5}}'
 #: What changes a record: its open part, its sealed values, or what it links.
 Change = Callable[[Record, dict[str, Sealed]], Record]
@@ -138,12 +137,12 @@ def written(path: Path, rows: Iterable[Row]) -> Path:
 @cache
 def walked() -> tuple[Row, ...]:
     """A log of accepts and refusals, by a gate whose mission ran out in the end."""
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     for goal in ("station-103", "pharmacy", "office-1", "station-101", "plant-room"):
-        worlds.propose(sim, worlds.navigate(sim.robot.state.region, goal))
+        scenarios.propose(sim, scenarios.navigate(sim.robot.state.region, goal))
     sim.robot.pause(30 * 60_000)
-    worlds.propose(sim, worlds.navigate("pharmacy", "station-101"))
+    scenarios.propose(sim, scenarios.navigate("pharmacy", "station-101"))
     return tuple(rows_of(sim))
 
 
@@ -174,7 +173,7 @@ def test_every_decision_of_a_log_is_decided_alike_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = written(tmp_path / "robot.db", walked())
-    code, told = asked(capsys, store, "--trust", worlds.trust_folder())
+    code, told = asked(capsys, store, "--trust", scenarios.trust_folder())
     assert code == 0
     assert told["differences"] == told["why"] == []
     assert (told["decisions"], told["agree"], told["differ"]) == (6, 6, 0)
@@ -204,7 +203,7 @@ def test_without_a_trust_folder_tokens_are_only_read_and_the_answer_says_so(
 
 def test_what_stands_before_the_first_record_asked_for_is_read_and_not_counted() -> None:
     last = kinds(list(walked()), "decision")[-1]
-    assert again(walked(), worlds.trust_folder(), first=last).decisions == 1
+    assert again(walked(), scenarios.trust_folder(), first=last).decisions == 1
 
 
 def test_approvals_are_among_the_inputs(bench: Bench) -> None:
@@ -247,11 +246,11 @@ def test_a_decision_after_a_new_list_is_made_under_that_list(bench: Bench, tmp_p
 
 @pytest.mark.parametrize("with_trust", [True, False])
 def test_a_mission_that_was_made_of_a_template_is_made_again(with_trust: bool) -> None:
-    sim = deliveries.admitted()
-    sim.gate.management.activate(deliveries.token())
-    deliveries.delivered(sim, deliveries.instance().fill)
-    worlds.propose(sim, worlds.navigate("station-101", "plant-room"))
-    found = again(rows_of(sim), deliveries.one_folder() if with_trust else None)
+    sim = templates.admitted()
+    sim.gate.management.activate(templates.token())
+    templates.delivered(sim, templates.instance().fill)
+    scenarios.propose(sim, scenarios.navigate("station-101", "plant-room"))
+    found = again(rows_of(sim), templates.one_folder() if with_trust else None)
     assert found.decisions == found.agree > 3
 
 
@@ -276,13 +275,13 @@ def test_every_scene_of_the_suite_is_decided_alike_again(trial: Any, bench: Benc
 
 def test_a_store_that_was_closed_and_opened_goes_on(tmp_path: Path) -> None:
     for start in (0, 600_000):
-        sim = worlds.simulation(store=tmp_path / "robot.db", start_ms=worlds.START_MS + start)
+        sim = scenarios.simulation(store=tmp_path / "robot.db", start_ms=scenarios.START_MS + start)
         if start == 0:
-            sim.gate.management.activate(worlds.token())
-        worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
-        worlds.propose(sim, worlds.navigate("pharmacy", "plant-room"))
+            sim.gate.management.activate(scenarios.token())
+        scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
+        scenarios.propose(sim, scenarios.navigate("pharmacy", "plant-room"))
         sim.gate.close()
-    found = again(read_rows(tmp_path / "robot.db"), worlds.trust_folder())
+    found = again(read_rows(tmp_path / "robot.db"), scenarios.trust_folder())
     assert found.decisions == found.agree > 3
 
 
@@ -295,10 +294,10 @@ def test_the_organizations_policy_is_among_the_inputs(
         organization="hospital",
         version=1,
         issued="2026-01-01T00:00:00Z",
-        policy=msgspec.structs.replace(worlds.mission().risk_policy, tau_1=10, tau_2=11),
+        policy=msgspec.structs.replace(scenarios.mission().risk_policy, tau_1=10, tau_2=11),
     )
     token = tmp_path / "policy.token"
-    signer = folder_signer(worlds.trust_folder(), "safety-officer-1")
+    signer = folder_signer(scenarios.trust_folder(), "safety-officer-1")
     token.write_bytes(sign_object(policy, Tag.RISK_POLICY, signer))
     with RunningGate(simulate=True) as gate:
         gate.stop_process("gate")
@@ -308,7 +307,7 @@ def test_the_organizations_policy_is_among_the_inputs(
         until(lambda: "APPROVAL_REQUIRED" in planner.propose(PLAN)["steps"][-1]["reasons"])
         with gate.client(ClientRole.OPERATOR) as console:
             (question,) = console.approvals()
-            by = folder_signer(worlds.trust_folder(), "supervisor-1")
+            by = folder_signer(scenarios.trust_folder(), "supervisor-1")
             console.answer(question, Verdict.APPROVE, by)
         assert planner.propose(PLAN)["steps"][-1]["reasons"] == []
         code, told = asked(capsys, gate.store, "--trust", gate.trust)  # a gate that runs tells it
@@ -323,9 +322,9 @@ def test_the_organizations_policy_is_among_the_inputs(
         "accept",
     ]
     where = verbs(rows, "risk-policy")[0]
-    gone = again(destroyed(rows, where, "token"), worlds.trust_folder())
+    gone = again(destroyed(rows, where, "token"), scenarios.trust_folder())
     assert (gone.agree, gone.differ, gone.not_replayable) == (0, 0, told["decisions"])
-    without_it = again(chained([*rows[:where], *rows[where + 1 :]]), worlds.trust_folder())
+    without_it = again(chained([*rows[:where], *rows[where + 1 :]]), scenarios.trust_folder())
     assert without_it.differ >= 1
     assert again(rows).differ == 0
 
@@ -334,8 +333,8 @@ def test_a_shadow_run_is_decided_alike_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     trust = tmp_path / "trust"
-    init_folder(trust, demo_members(worlds.site(), (worlds.RID,)), now=datetime.now(UTC))
-    reply = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+    init_folder(trust, demo_members(scenarios.site(), (scenarios.RID,)), now=datetime.now(UTC))
+    reply = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
     with RunningGate(mode=Mode.SHADOW, simulate=True, trust=trust) as gate:
         gate.activate()
         with gate.client(ClientRole.PLANNER, "old-road", allow_shadow=True) as planner:
@@ -390,7 +389,7 @@ def test_a_verdict_that_was_changed_and_chained_anew_is_found(
     at = verbs(rows, "reject")[0]
     store = written(tmp_path / "forged.db", forged(rows, at, turned))
     assert call(["audit", "verify", str(store)]) == 0  # the chain holds
-    code, told = asked(capsys, store, "--trust", worlds.trust_folder())
+    code, told = asked(capsys, store, "--trust", scenarios.trust_folder())
     assert (code, told["agree"], told["differ"]) == (1, 5, 1)
     (found,) = told["differences"]
     assert (found["seq"], found["kind"], found["why"]) == (at, "decision", "")
@@ -409,7 +408,7 @@ def test_a_release_in_spite_of_a_refusal_is_found() -> None:
 
     rows = list(walked())
     log = forged(rows, verbs(rows, "reject")[0], released)
-    assert again(log, worlds.trust_folder()).differ == 1
+    assert again(log, scenarios.trust_folder()).differ == 1
 
 
 @pytest.mark.parametrize("name", ["action", "state", "now", "approvals", "standing"])
@@ -429,14 +428,14 @@ def test_inputs_that_are_not_those_that_the_record_links_are_found(name: str) ->
 
     rows = list(walked())
     log = forged(rows, verbs(rows, "accept")[0], other)
-    for trust in (worlds.trust_folder(), None):
+    for trust in (scenarios.trust_folder(), None):
         found = again(log, trust)
         assert found.differ + found.not_replayable == 1
         assert found.differ == 1 or (name, trust) == ("approvals", None)
 
 
 def test_a_mission_that_nobody_signed_is_found_with_a_trust_folder() -> None:
-    token = json.loads(worlds.token())
+    token = json.loads(scenarios.token())
     token["endorsements"][0]["signature"] = b64(bytes(64))
 
     def unsigned(record: Record, sealed: dict[str, Sealed]) -> Record:
@@ -448,14 +447,16 @@ def test_a_mission_that_nobody_signed_is_found_with_a_trust_folder() -> None:
 
     rows = list(walked())
     log = forged(rows, verbs(rows, "activate")[0], unsigned)
-    found = again(log, worlds.trust_folder())
+    found = again(log, scenarios.trust_folder())
     assert (found.differ, found.agree, found.not_replayable) == (1, 0, 6)
     assert list(found.left) == ["its mission does not hold"]
     assert again(log).agree == 6
 
 
 def test_another_mission_in_the_place_of_the_one_that_counted_is_found() -> None:
-    wide = worlds.token(worlds.mission(regions=["dock", "pharmacy", "station-101", "station-103"]))
+    wide = scenarios.token(
+        scenarios.mission(regions=["dock", "pharmacy", "station-101", "station-103"])
+    )
 
     def other(record: Record, sealed: dict[str, Sealed]) -> Record:
         value = wide.decode().strip()
@@ -464,14 +465,14 @@ def test_another_mission_in_the_place_of_the_one_that_counted_is_found() -> None
 
     rows = list(walked())
     log = forged(rows, verbs(rows, "activate")[0], other)
-    for trust in (worlds.trust_folder(), None):
+    for trust in (scenarios.trust_folder(), None):
         assert again(log, trust).differ == 1
 
 
 def test_a_decision_under_a_mission_that_no_record_made_active_is_found() -> None:
     rows = list(walked())
     at = verbs(rows, "activate")[0]
-    found = again(chained([*rows[:at], *rows[at + 1 :]]), worlds.trust_folder())
+    found = again(chained([*rows[:at], *rows[at + 1 :]]), scenarios.trust_folder())
     assert (found.differ, found.agree) == (6, 0)
 
 
@@ -487,7 +488,7 @@ def test_tokens_and_sites_that_are_none_are_found_and_never_a_traceback(value: A
         return change
 
     rows = list(walked())
-    for trust in (worlds.trust_folder(), None):
+    for trust in (scenarios.trust_folder(), None):
         log = forged(rows, verbs(rows, "activate")[0], broken("token"))
         assert again(log, trust).differ == 1
         found = again(forged(rows, 0, broken("site")), trust)
@@ -531,7 +532,7 @@ def test_a_destroyed_value_is_not_replayable_and_counted(
     first, *_, last = kinds(rows, "decision")
     log = destroyed(destroyed(rows, last, name), first, name)
     store = written(tmp_path / "shredded.db", log)
-    code, told = asked(capsys, store, "--trust", worlds.trust_folder())
+    code, told = asked(capsys, store, "--trust", scenarios.trust_folder())
     assert (code, told["agree"], told["differ"], told["not_replayable"]) == (0, 4, 0, 2)
     why = {"why": f"sealed values are gone: {name}", "count": 2, "first": first, "last": last}
     assert told["why"] == [why]
@@ -543,7 +544,7 @@ def test_words_that_no_decision_needs_may_be_gone() -> None:
     rows = list(walked())
     at = kinds(rows, "decision")[0]
     log = destroyed(destroyed(rows, at, "findings"), at, "influences")
-    assert again(log, worlds.trust_folder()).agree == 6
+    assert again(log, scenarios.trust_folder()).agree == 6
 
 
 def test_without_its_site_or_its_mission_nothing_of_a_log_is_replayable() -> None:
@@ -555,7 +556,7 @@ def test_without_its_site_or_its_mission_nothing_of_a_log_is_replayable() -> Non
             "sealed values are gone: the mission's token",
         ),
     ):
-        found = again(log, worlds.trust_folder())
+        found = again(log, scenarios.trust_folder())
         assert (found.agree, found.differ, found.left[why].count) == (0, 0, 6)
 
 
@@ -563,28 +564,28 @@ def test_a_gate_that_starts_with_another_site_says_so_in_its_log(tmp_path: Path)
     """What is decided on the other site is decided alike again, and what comes after it."""
     store, other = (
         tmp_path / "robot.db",
-        replace(worlds.site(), emergency=Emergency(places={"dock": "charging"})),
+        replace(scenarios.site(), emergency=Emergency(places={"dock": "charging"})),
     )
-    for number, site in enumerate((worlds.site(), other, other, worlds.site())):
+    for number, site in enumerate((scenarios.site(), other, other, scenarios.site())):
         sim = simulate(
-            worlds.trust_folder(),
+            scenarios.trust_folder(),
             site,
-            worlds.binding(),
-            rid=worlds.RID,
-            start_ms=worlds.START_MS + number * 300_000,
+            scenarios.binding(),
+            rid=scenarios.RID,
+            start_ms=scenarios.START_MS + number * 300_000,
             store=store,
         )
         if number == 0:
-            sim.gate.management.activate(worlds.token())
-        worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+            sim.gate.management.activate(scenarios.token())
+        scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
         sim.gate.close()
     rows = list(read_rows(store))
     records = [read_record(row.record, where="") for row in rows]
     moved = [record.open["site"] for record in records if record.link.decision == "site"]
-    assert moved == [site_digest(other), site_digest(worlds.site())]
+    assert moved == [site_digest(other), site_digest(scenarios.site())]
     primary = [record.open["reasons"][:1] for record in records if record.kind == "decision"]
     assert primary == [[], ["SITE_MISMATCH"], ["SITE_MISMATCH"], ["REPEAT_EXHAUSTED"]]
-    found = again(rows, worlds.trust_folder())
+    found = again(rows, scenarios.trust_folder())
     assert (found.agree, found.decisions) == (4, 4)
 
 
@@ -629,7 +630,7 @@ def test_a_log_that_is_not_whole_says_so_and_what_came_before_is_replayed(
 def test_another_root_is_named_before_anything_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    init_folder(tmp_path / "trust", demo_members(worlds.site(), (worlds.RID,)), now=BEGIN)
+    init_folder(tmp_path / "trust", demo_members(scenarios.site(), (scenarios.RID,)), now=BEGIN)
     store = written(tmp_path / "robot.db", walked())
     code, told = asked(capsys, store, "--trust", tmp_path / "trust")
     assert (code, told["error"]["where"]) == (4, "--trust")

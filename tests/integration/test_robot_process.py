@@ -22,7 +22,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import RobotId
@@ -43,7 +42,8 @@ from authguard_r.wire.messages import (
     Mode,
     Renew,
 )
-from gates import authguard, environment
+from fixtures import scenarios
+from fixtures.gate_process import authguard, environment
 from integration import scripted_gate
 from integration.scripted_gate import (
     PATIENCE,
@@ -58,7 +58,7 @@ from integration.scripted_gate import (
     welcome,
 )
 
-GATE_KEY = f"gate-{worlds.RID}"
+GATE_KEY = f"gate-{scenarios.RID}"
 #: Of the robot in these tests: it stands 1,000 ms after a stop at 1,000 mm/s.
 BRAKE_MM_S2 = 1_000
 
@@ -70,10 +70,10 @@ class House:
         self.folder = folder
         self.run = folder / "run"
         self.run.mkdir()
-        self.trust = worlds.trust_folder()
+        self.trust = scenarios.trust_folder()
         self.processes: list[subprocess.Popen[str]] = []
         self.listeners: list[Sensors] = []
-        text = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
+        text = (scenarios.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
         line = "      max_payload_g: 5000\n"
         assert text.count(line) == 1
         more = f"{line}      brake_mm_s2: {BRAKE_MM_S2}\n      reaction_ms: 100\n"
@@ -87,22 +87,22 @@ class House:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
-                cwd=worlds.ROOT,
+                cwd=scenarios.ROOT,
                 env=environment(measured=measured),
             )
         self.processes.append(process)
         return process
 
     def robot(self, *options: object) -> subprocess.Popen[str]:
-        words = ("--site", self.folder / "site.yaml", "--robot", worlds.RID, "--run", self.run)
+        words = ("--site", self.folder / "site.yaml", "--robot", scenarios.RID, "--run", self.run)
         words += ("--trust", self.trust, "--json", *options)
         return self.start(*authguard("robot", *words))
 
     def estimator(self, *options: object) -> subprocess.Popen[str]:
         keys = self.trust / "keys"
-        name = f"estimator-{worlds.RID}"
+        name = f"estimator-{scenarios.RID}"
         key = ("--key", keys / f"{name}.key.pem", "--cert", keys / f"{name}.cert.pem")
-        words = ("--robot", worlds.RID, "--run", self.run, "--trust", self.trust, "--json")
+        words = ("--robot", scenarios.RID, "--run", self.run, "--trust", self.trust, "--json")
         return self.start(*authguard("estimator", *words, *key, *options))
 
     def driving_gate(self, renew_within_ms: int) -> subprocess.Popen[str]:
@@ -154,7 +154,7 @@ def gate(house: House) -> Iterator[ScriptedGate]:
 
 
 def true_answer() -> Answer:
-    return proved(folder_signer(worlds.trust_folder(), GATE_KEY), worlds.RID)
+    return proved(folder_signer(scenarios.trust_folder(), GATE_KEY), scenarios.RID)
 
 
 def ready(process: subprocess.Popen[str]) -> dict[str, Any]:
@@ -192,6 +192,7 @@ def drive(house: House, gate: ScriptedGate, sensors: Sensors) -> Peer:
     return peer
 
 
+@pytest.mark.smoke
 def test_the_gate_of_this_robot_moves_it_to_where_it_was_sent(
     house: House, gate: ScriptedGate
 ) -> None:
@@ -199,20 +200,20 @@ def test_the_gate_of_this_robot_moves_it_to_where_it_was_sent(
     sensors = house.sensors()
     start = place(sensors.next())
     peer = gate.accept()
-    assert ready(robot) == {"ready": True, "robot": worlds.RID, "role": "controller"}
+    assert ready(robot) == {"ready": True, "robot": scenarios.RID, "role": "controller"}
     peer.dispatch()
     ended = peer.ended(renewing=1)
     assert (str(ended.outcome), ended.why) == ("succeeded", "")
     assert ended.used.motion_ms > 0
     seen = sensors.until(lambda s: speed(s) == 0 and place(s) != start)
-    assert place(seen) == worlds.site().regions["pharmacy"].approach
+    assert place(seen) == scenarios.site().regions["pharmacy"].approach
 
 
 def other_trust(house: House) -> Path:
     """Return a trust folder of somebody else, with a gate of the same name."""
     folder = house.folder / "theirs"
-    now = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
-    init_folder(folder, demo_members(worlds.site(), (worlds.RID,)), now=now)
+    now = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
+    init_folder(folder, demo_members(scenarios.site(), (scenarios.RID,)), now=now)
     return folder
 
 
@@ -226,7 +227,7 @@ def replayed(house: House) -> Answer:
         lane.accept().close()
         robot.kill()
         robot.wait()
-    return lambda hello: welcome(hello, worlds.RID, seen[0])
+    return lambda hello: welcome(hello, scenarios.RID, seen[0])
 
 
 def kept(answered: Any, seen: list[str]) -> Any:
@@ -234,21 +235,23 @@ def kept(answered: Any, seen: list[str]) -> Any:
     return answered
 
 
-def answer_by(name: str, robot: RobotId = worlds.RID, **changes: Any) -> Callable[[House], Answer]:
-    return lambda _: proved(folder_signer(worlds.trust_folder(), name), robot, **changes)
+def answer_by(
+    name: str, robot: RobotId = scenarios.RID, **changes: Any
+) -> Callable[[House], Answer]:
+    return lambda _: proved(folder_signer(scenarios.trust_folder(), name), robot, **changes)
 
 
 IMPOSTORS: dict[str, Callable[[House], Answer]] = {
     "a gate of another house": lambda house: proved(
-        folder_signer(other_trust(house), GATE_KEY), worlds.RID
+        folder_signer(other_trust(house), GATE_KEY), scenarios.RID
     ),
-    "another robot's gate": answer_by(f"gate-{worlds.OTHER}"),
-    "another robot's gate that says so": answer_by(f"gate-{worlds.OTHER}", worlds.OTHER),
+    "another robot's gate": answer_by(f"gate-{scenarios.OTHER}"),
+    "another robot's gate that says so": answer_by(f"gate-{scenarios.OTHER}", scenarios.OTHER),
     "an operator": answer_by("operator-1"),
-    "this robot's estimator": answer_by(f"estimator-{worlds.RID}"),
+    "this robot's estimator": answer_by(f"estimator-{scenarios.RID}"),
     "a proof for another role": answer_by(GATE_KEY, role=ClientRole.PLANNER),
     "a proof seen before": replayed,
-    "no proof": lambda _: lambda hello: welcome(hello, worlds.RID, None),
+    "no proof": lambda _: lambda hello: welcome(hello, scenarios.RID, None),
     "no welcome": lambda _: lambda _hello: None,
 }
 
@@ -410,6 +413,7 @@ def test_a_gate_that_is_killed_in_mid_motion_leaves_a_robot_that_stands(house: H
         assert place(sensors.next()) == here
 
 
+@pytest.mark.smoke
 def test_a_gate_that_falls_silent_leaves_a_robot_that_stands(house: House) -> None:
     house.robot()
     sensors = house.sensors()
@@ -467,7 +471,7 @@ def test_a_drifting_robot_goes_elsewhere(house: House, gate: ScriptedGate) -> No
     peer = gate.accept()
     peer.dispatch()
     peer.ended(renewing=1)
-    goal = worlds.site().regions["office-1"].approach
+    goal = scenarios.site().regions["office-1"].approach
     sensors.until(lambda s: place(s) == goal)
 
 
@@ -550,10 +554,10 @@ def attested(peer: Peer) -> Snapshot:
         Snapshot,
         tag=Tag.STATE,
         roles=frozenset({"estimator"}),
-        verifier=read_trust(worlds.trust_folder()),
+        verifier=read_trust(scenarios.trust_folder()),
         now=Now(time.time_ns() // 1_000_000, 0),
     )
-    assert signer.id == f"estimator-{worlds.RID}"
+    assert signer.id == f"estimator-{scenarios.RID}"
     peer.send(Kind.REPLY, {}, item.id)
     return snapshot
 
@@ -570,8 +574,8 @@ def test_the_estimator_attests_what_the_sensors_say_and_never_makes_it_younger(
     first = house.robot("--at", "pharmacy")  # it takes the gate's other connection
     gate.accept()
     got = [attested(peer) for _ in range(5)]
-    assert ready(estimator) == {"ready": True, "robot": worlds.RID, "role": "estimator"}
-    assert place(got[-1]) == worlds.site().regions["pharmacy"].approach
+    assert ready(estimator) == {"ready": True, "robot": scenarios.RID, "role": "estimator"}
+    assert place(got[-1]) == scenarios.site().regions["pharmacy"].approach
     assert {snapshot.epoch for snapshot in got} == {got[0].epoch}
     assert [snapshot.seq for snapshot in got] == [1, 2, 3, 4, 5]
     first.kill()
@@ -609,6 +613,7 @@ def test_one_snapshot_is_on_its_way_and_a_refusal_is_logged(
     assert any(line.get("code") == "STATE_STALE" for line in house.said(estimator))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("who", ["no proof", "another robot's gate", "an operator"])
 def test_an_impostor_gets_no_snapshot(house: House, who: str) -> None:
     with gate_at(house.run / "gate.sock", IMPOSTORS[who](house)) as false_gate:
@@ -641,7 +646,7 @@ def test_a_gate_that_answers_no_snapshot_is_called_again(house: House, gate: Scr
         (("--run", "nowhere"), 5, "nowhere"),
         (("--trust", "nowhere"), 5, "root.pem"),
         (("--key", "nowhere.pem"), 5, "nowhere.pem"),
-        (("--robot", worlds.OTHER), 4, "cert.pem"),
+        (("--robot", scenarios.OTHER), 4, "cert.pem"),
         (("--robot", "No Robot"), 2, "identifier"),
         (("--rate", "0"), 2, "rate"),
     ],

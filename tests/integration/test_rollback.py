@@ -15,13 +15,13 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, RunningGate, order, until
+from fixtures import scenarios
+from fixtures.gate_process import AUTHGUARD, RunningGate, order, until
 from integration.test_gate_clock import HOUR_MS, WallClock
 from integration.test_gate_clock import clock as clock  # noqa: PLC0414 - a fixture
 from integration.test_gate_watching import FAST, operator
@@ -84,7 +84,7 @@ class CountedGate(RunningGate):
         """Accept the store as a person does at a terminal; return what the command says."""
         said = [str(AUTHGUARD), "recover", "--trust", str(self.trust), "--gate", str(self.run)]
         done = subprocess.run(
-            [*said, "--yes", "--json", *words], capture_output=True, check=False, cwd=worlds.ROOT
+            [*said, "--yes", "--json", *words], capture_output=True, check=False, cwd=scenarios.ROOT
         )
         told: dict[str, Any] = json.loads(done.stdout)
         return {"exit": done.returncode, **told}
@@ -117,6 +117,7 @@ def ready(gate: CountedGate) -> None:
     until(here, "robot and estimator")
 
 
+@pytest.mark.smoke
 def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
     gate: CountedGate,
 ) -> None:

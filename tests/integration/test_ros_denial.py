@@ -21,9 +21,9 @@ from threading import Thread
 import pytest
 
 from authguard_r.ros.keystore import KEY, make_keystore
-from gates import until
-from keystores import example, home, resign
-from worlds import ROOT
+from fixtures.gate_process import until
+from fixtures.ros_keystores import example, home, resign
+from fixtures.scenarios import ROOT
 
 FOLDER = Path(os.environ.get("AUTHGUARD_DDS", "/nowhere"))
 pytestmark = pytest.mark.skipif(

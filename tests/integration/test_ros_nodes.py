@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from gates import environment
-from worlds import ROOT
+from fixtures.gate_process import environment
+from fixtures.scenarios import ROOT
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_ROS", "")
 pytestmark = pytest.mark.skipif(

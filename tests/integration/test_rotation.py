@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.assembly import demo_members
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag, digest_of
@@ -28,7 +27,8 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.setup import init_folder
 from authguard_r.keys.signer import read_signer
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, until
 
 #: Decisions that have to lie between two steps of a rotation.
 _BETWEEN = 5
@@ -73,7 +73,9 @@ class Site:
 
     def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         self.trust, self.auth, self.new = folder / "trust", folder / "auth", folder / "new"
-        init_folder(self.trust, demo_members(worlds.site(), (worlds.RID,)), now=datetime.now(UTC))
+        init_folder(
+            self.trust, demo_members(scenarios.site(), (scenarios.RID,)), now=datetime.now(UTC)
+        )
         shutil.copytree(self.trust, self.auth)
         self._capsys = capsys
 
@@ -122,7 +124,7 @@ def gate(site: Site) -> Iterator[RunningGate]:
 
 def patient(gate: RunningGate) -> Mission:
     """Return the shipped mission with room for a long row of scans."""
-    plain = worlds.draft()
+    plain = scenarios.draft()
     grants = [
         {**grant, "repeat": 9_000, "starts": 9_000} if grant["id"] == "look-out" else grant
         for grant in plain["grants"]
@@ -149,14 +151,14 @@ def test_nothing_is_refused_while_operator_estimator_and_lists_change(
         site.revoke(gate, "--serial", site.serial("operator-1"))
         planner.goes_on()
         # the estimator: the new one speaks before the old one ends
-        key, cert = site.rotate(f"estimator-{worlds.RID}")
-        words = ("--robot", worlds.RID, "--run", gate.run, "--trust", site.trust)
+        key, cert = site.rotate(f"estimator-{scenarios.RID}")
+        words = ("--robot", scenarios.RID, "--run", gate.run, "--trust", site.trust)
         gate.launch("estimator", *words, "--rate", "50", "--key", key, "--cert", cert)
         gate.ready("estimator")
         planner.goes_on()
         old.terminate()
         assert old.wait(30) == 0
-        site.revoke(gate, "--serial", site.serial(f"estimator-{worlds.RID}"))
+        site.revoke(gate, "--serial", site.serial(f"estimator-{scenarios.RID}"))
         planner.goes_on()
         # every list anew, before any is stale
         lists = site.run("keys", "lists", site.auth, "--days", "7")["lists"]
@@ -176,6 +178,7 @@ def test_nothing_is_refused_while_operator_estimator_and_lists_change(
     assert set(told[2:]) == {("root", 2), ("people", 3), ("site", 2), ("machines", 3)}
 
 
+@pytest.mark.smoke
 def test_the_first_decision_after_a_list_is_refused(site: Site, gate: RunningGate) -> None:
     gate.activate(sign_object(patient(gate), Tag.MISSION, read_signer(*site.old("operator-1"))))
     planner = Planner(gate)
@@ -204,7 +207,7 @@ def test_a_gate_takes_its_new_key_with_a_restart(site: Site, gate: RunningGate) 
     planner.goes_on()
     planner.end()
     assert planner.refused() == []
-    name = f"gate-{worlds.RID}"
+    name = f"gate-{scenarios.RID}"
     key, cert = site.rotate(name)
     gate.stop_process("gate")
     gate.start_gate("--key", str(key), "--cert", str(cert))

@@ -11,9 +11,6 @@ from typing import Any
 
 import pytest
 
-import asking
-import sealed
-import worlds
 from authguard_r.audit.boxes import BOX, WRAP, DataClass
 from authguard_r.audit.verify import Row
 from authguard_r.cli.logs import open_log
@@ -24,13 +21,14 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, RunningGate, order, until
+from fixtures import approvals, scenarios, sealed_logs
+from fixtures.gate_process import AUTHGUARD, RunningGate, order, until
 from integration.test_approvals_gate import PLAN, key, reasons
 from integration.test_gate_watching import operator
 
 REGION, PERSON = DataClass.REGION, DataClass.PERSON
 SCAN = b"scan()"
-READERS = (sealed.reader("auditor"), sealed.reader("porter", REGION))
+READERS = (sealed_logs.reader("auditor"), sealed_logs.reader("porter", REGION))
 
 
 class SealingGate(RunningGate):
@@ -75,7 +73,7 @@ class SealingGate(RunningGate):
         said += [word for data in classes for word in ("--class", data)]
         said += words or ("--gate", self.run)
         with subprocess.Popen(
-            [str(AUTHGUARD), *map(str, said)], stdout=subprocess.PIPE, cwd=worlds.ROOT
+            [str(AUTHGUARD), *map(str, said)], stdout=subprocess.PIPE, cwd=scenarios.ROOT
         ) as process:
             assert process.stdout is not None
             line = process.stdout.readline()
@@ -95,16 +93,17 @@ def gate() -> Iterator[SealingGate]:
 
 def replayed(rows: list[Row], trust: Path, role: str = "auditor") -> Replay:
     replay = Replay(read_trust(trust))
-    for row in sealed.opened(rows, role):
+    for row in sealed_logs.opened(rows, role):
         assert replay.see(row) is None
     return replay
 
 
 def said(rows: list[Row], role: str) -> bytes:
     """Return the values that a role reads beside the records."""
-    return b"".join(row.sealed for row in sealed.opened(rows, role)[1:])
+    return b"".join(row.sealed for row in sealed_logs.opened(rows, role)[1:])
 
 
+@pytest.mark.smoke
 def test_the_log_of_a_gate_is_closed_to_who_has_the_file_and_open_to_its_auditor(
     gate: SealingGate,
 ) -> None:
@@ -118,7 +117,7 @@ def test_the_log_of_a_gate_is_closed_to_who_has_the_file_and_open_to_its_auditor
         assert ("NAME_UNKNOWN" in told, "Nowhere-7" in told) == (True, False)
     gate.ends(mission, digest)
     gate.stop_process("gate")
-    rows = sealed.rows_of(gate.store)
+    rows = sealed_logs.rows_of(gate.store)
     said = b"".join(row.record + row.sealed for row in rows[1:])
     for word in ("Nowhere-7", "operator-1", "scan", "camera", mission.task, "look-out", "speed"):
         assert word.encode() not in said, word
@@ -146,7 +145,7 @@ def test_an_open_request_of_before_a_restart_shows_nothing_that_is_closed(
     gate: SealingGate,
 ) -> None:
     """What the gate cannot read, nobody is shown, so nobody signs an answer to it."""
-    gate.activate(gate.token(asking.at_gate(gate)))
+    gate.activate(gate.token(approvals.at_gate(gate)))
     with gate.client(ClientRole.PLANNER) as planner:
         until(lambda: reasons(planner) == ["APPROVAL_REQUIRED"], "the question")
         with gate.client(ClientRole.OPERATOR) as console:
@@ -177,9 +176,9 @@ def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
     until(gate.shredded, "the last box")
     assert gate.shreds(mission.mid, REGION)[1]["error"]["code"] == "MISSION_UNKNOWN"
     gate.stop_process("gate")
-    rows = sealed.rows_of(gate.store)
-    mine = [row for row in rows if sealed.told(row).link.mid == mission.mid]
-    names = {name for row in mine for name in sealed.values(row)}
+    rows = sealed_logs.rows_of(gate.store)
+    mine = [row for row in rows if sealed_logs.told(row).link.mid == mission.mid]
+    names = {name for row in mine for name in sealed_logs.values(row)}
     assert not [name for name in names if name.startswith((BOX, WRAP)) and "region" in name]
     replay = replayed(rows, gate.trust)
     assert (replay.agree, replay.not_replayable) == (0, replay.decisions)
@@ -200,6 +199,10 @@ def test_an_order_is_carried_out_on_a_store_that_no_gate_holds(gate: SealingGate
     assert (code, told["shredding"]["mid"]) == (0, mission.mid)
     code, told = gate.shreds("-", PERSON, REGION, words=place)
     assert (code, told["shredding"]["mid"]) == (0, "-")
-    mine = [row for row in sealed.rows_of(gate.store) if sealed.told(row).link.mid == mission.mid]
-    assert not [name for row in mine for name in sealed.values(row) if "person" in name]
+    mine = [
+        row
+        for row in sealed_logs.rows_of(gate.store)
+        if sealed_logs.told(row).link.mid == mission.mid
+    ]
+    assert not [name for row in mine for name in sealed_logs.values(row) if "person" in name]
     assert gate.shreds(mission.mid, PERSON, words=("--store", gate.store))[0] == 2  # no site

@@ -13,7 +13,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.commands import Command, Verb
@@ -22,25 +21,26 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
+from fixtures import scenarios
 
 ROWS = [
     {"source": "dock", "destination": goal, "regions": ["dock", goal, "public-corridor"]}
     for goal in ("pharmacy", "station-103")
 ]
-FIRST, OTHER = (worlds.navigate("dock", row["destination"]) for row in ROWS)
-FAR = worlds.START_MS + 3_600_000
+FIRST, OTHER = (scenarios.navigate("dock", row["destination"]) for row in ROWS)
+FAR = scenarios.START_MS + 3_600_000
 
 
 def mission(chooser: str = "operator", **changes: Any) -> Mission:
     """Return the story's mission with two rows to drive to, and one chooser."""
-    grants = worlds.draft()["grants"]
+    grants = scenarios.draft()["grants"]
     drive = {**grants[0], "rows": ROWS, "chooser": chooser, "repeat": 2, "starts": 4}
-    return worlds.mission(grants=[{**drive, **changes}, *grants[1:]])
+    return scenarios.mission(grants=[{**drive, **changes}, *grants[1:]])
 
 
 def gate(signed: Mission, **kwargs: Any) -> Any:
-    sim = worlds.simulation(**kwargs)
-    sim.gate.management.activate(worlds.token(signed))
+    sim = scenarios.simulation(**kwargs)
+    sim.gate.management.activate(scenarios.token(signed))
     return sim
 
 
@@ -56,11 +56,11 @@ def choice(signed: Mission, row: int = 1, *, by: str = "operator-1", **changes: 
         "expires_ms": FAR,
     }
     value = Selection(**{**fields, **changes})
-    return sign_object(value, Tag.SELECTION, worlds.folder_signer(worlds.trust_folder(), by))
+    return sign_object(value, Tag.SELECTION, scenarios.folder_signer(scenarios.trust_folder(), by))
 
 
 def reasons(sim: Any, action: Any) -> list[str]:
-    return [str(reason) for reason in worlds.propose(sim, action).judged.decision.reasons]
+    return [str(reason) for reason in scenarios.propose(sim, action).judged.decision.reasons]
 
 
 def last(sim: Any) -> Any:
@@ -96,7 +96,7 @@ def test_a_choice_is_denied_before_and_accepted_after_the_chooser_signed_it(
     assert sim.robot.trace == []
     sim.gate.management.select(choice(signed, 1, by=by))
     assert reasons(sim, FIRST) == ["DESTINATION_OUT_OF_SCOPE"]
-    report = worlds.propose(sim, OTHER)
+    report = scenarios.propose(sim, OTHER)
     assert report.outcome is Outcome.SUCCEEDED
     assert report.judged.action.provenance["destination"] == chooser
     assert [done.action.destination for done in sim.robot.trace] == ["station-103"]
@@ -108,7 +108,7 @@ def test_each_row_can_be_the_one() -> None:
         sim = gate(signed)
         sim.gate.management.select(choice(signed, row))
         assert reasons(sim, other) == ["DESTINATION_OUT_OF_SCOPE"]
-        assert worlds.propose(sim, chosen).outcome is Outcome.SUCCEEDED
+        assert scenarios.propose(sim, chosen).outcome is Outcome.SUCCEEDED
 
 
 def test_the_last_choice_counts_and_an_old_one_cannot_come_again() -> None:
@@ -142,9 +142,9 @@ def test_a_choice_widens_nothing_else() -> None:
     signed = mission()
     sim = gate(signed)
     sim.gate.management.select(choice(signed))
-    assert reasons(sim, worlds.navigate("dock", "office-1")) != []
+    assert reasons(sim, scenarios.navigate("dock", "office-1")) != []
     assert "PARAMETER_OUT_OF_BOUNDS" in reasons(
-        sim, worlds.navigate("dock", "station-103", speed=900)
+        sim, scenarios.navigate("dock", "station-103", speed=900)
     )
     assert sim.robot.trace == []
 
@@ -187,7 +187,7 @@ def test_a_role_that_answers_nothing_chooses_nothing(by: str) -> None:
         ({"mid": "another"}, "MISSION_UNKNOWN"),
         ({"mission": "A" * 43}, "MISSION_UNKNOWN"),
         ({"version": 2}, "MISSION_UNKNOWN"),
-        ({"expires_ms": worlds.START_MS - 1}, "EXPIRED"),
+        ({"expires_ms": scenarios.START_MS - 1}, "EXPIRED"),
         ({"expires_ms": 0}, "EXPIRED"),
         ({"grant": "nothing"}, "SCHEMA_INVALID"),
         ({"row": 2}, "SCHEMA_INVALID"),
@@ -200,19 +200,19 @@ def test_a_choice_of_something_else_changes_nothing(changes: dict[str, Any], rea
 
 
 def test_a_choice_for_another_robot_s_mission_changes_nothing() -> None:
-    theirs = msgspec.structs.replace(mission(), rid=worlds.OTHER)
+    theirs = msgspec.structs.replace(mission(), rid=scenarios.OTHER)
     refused(gate(mission()), choice(theirs), "MISSION_UNKNOWN")
 
 
 def test_a_choice_without_any_mission_here_changes_nothing() -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     refused(sim, choice(mission()), "MISSION_UNKNOWN")
 
 
 def test_a_choice_runs_out_while_it_waits() -> None:
     signed = mission()
     sim = gate(signed)
-    data = choice(signed, expires_ms=worlds.START_MS + 1_000)
+    data = choice(signed, expires_ms=scenarios.START_MS + 1_000)
     sim.robot.pause(1_100)
     refused(sim, data, "EXPIRED")
 
@@ -232,14 +232,14 @@ def tampered(data: bytes) -> dict[str, tuple[bytes, str]]:
         nonce="AA",
         expires_ms=FAR,
     )
-    signer = worlds.folder_signer(worlds.trust_folder(), "operator-1")
+    signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
     return {
         "another payload under the signature": (_written(own_words), "SIGNATURE_INVALID"),
         "cut": (data[:-12], "MALFORMED"),
         "empty": (b"", "MALFORMED"),
         "payload alone": (payload.encode(), "MALFORMED"),
         "another kind": (sign_object(command, Tag.COMMAND, signer), "WRONG_KIND"),
-        "a mission": (worlds.token(signed), "WRONG_KIND"),
+        "a mission": (scenarios.token(signed), "WRONG_KIND"),
         "other fields": (sign_object(command, Tag.SELECTION, signer), "MALFORMED"),
     }
 
@@ -283,12 +283,12 @@ def test_a_choice_ends_with_its_version() -> None:
     sim = gate(signed)
     sim.gate.management.select(choice(signed))
     update = second(signed)
-    assert sim.gate.management.activate(worlds.token(update)).selected == {}
+    assert sim.gate.management.activate(scenarios.token(update)).selected == {}
     for action in (FIRST, OTHER):
         assert reasons(sim, action) == ["PROVENANCE_DENIED"]
     refused(sim, choice(signed, nonce="BBBB"), "MISSION_UNKNOWN")
     sim.gate.management.select(choice(update, nonce="CCCC"))
-    assert worlds.propose(sim, OTHER).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, OTHER).outcome is Outcome.SUCCEEDED
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,7 @@ def test_a_mission_that_ended_takes_no_choice(verb: Verb, reason: str) -> None:
         nonce="AA",
         expires_ms=FAR,
     )
-    signer = worlds.folder_signer(worlds.trust_folder(), "operator-1")
+    signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
     sim.gate.management.command(sign_object(order, Tag.COMMAND, signer))
     refused(sim, choice(signed), reason)
 
@@ -330,8 +330,8 @@ SENSED = [
 @pytest.mark.parametrize(("at", "to"), [("dock", "pharmacy"), ("pharmacy", "dock")])
 def test_the_attested_place_settles_a_sensor_s_choice(at: str, to: str) -> None:
     signed = mission("trusted_sensor", rows=SENSED, until=[])
-    sim = gate(signed, start=worlds.world(at))
-    report = worlds.propose(sim, worlds.navigate(at, to))
+    sim = gate(signed, start=scenarios.world(at))
+    report = scenarios.propose(sim, scenarios.navigate(at, to))
     assert report.outcome is Outcome.SUCCEEDED
     assert report.judged.action.provenance["destination"] == "trusted_sensor"
 
@@ -339,9 +339,9 @@ def test_the_attested_place_settles_a_sensor_s_choice(at: str, to: str) -> None:
 @pytest.mark.parametrize(("at", "claimed"), [("dock", "pharmacy"), ("pharmacy", "dock")])
 def test_a_place_that_the_planner_claims_settles_nothing(at: str, claimed: str) -> None:
     """The attack: the planner says that it stands elsewhere to be given the other row."""
-    sim = gate(mission("trusted_sensor", rows=SENSED, until=[]), start=worlds.world(at))
+    sim = gate(mission("trusted_sensor", rows=SENSED, until=[]), start=scenarios.world(at))
     other = {"dock": "pharmacy", "pharmacy": "dock"}[claimed]
-    assert "SOURCE_NOT_ATTESTED" in reasons(sim, worlds.navigate(claimed, other))
+    assert "SOURCE_NOT_ATTESTED" in reasons(sim, scenarios.navigate(claimed, other))
     assert sim.robot.trace == []
 
 
@@ -356,7 +356,7 @@ def test_a_planner_that_may_choose_needs_no_selection() -> None:
     """The signer said so: each of the signed rows, and no other."""
     for action in (FIRST, OTHER):
         sim = gate(mission("planner"))
-        assert worlds.propose(sim, action).outcome is Outcome.SUCCEEDED
+        assert scenarios.propose(sim, action).outcome is Outcome.SUCCEEDED
     assert "DESTINATION_OUT_OF_SCOPE" in reasons(
-        gate(mission("planner")), worlds.navigate("dock", "station-102")
+        gate(mission("planner")), scenarios.navigate("dock", "station-102")
     )

@@ -276,6 +276,7 @@ def test_root_starts_no_gate_and_the_doctor_says_why(machine: Machine) -> None:
     assert code == 0, text
 
 
+@pytest.mark.smoke
 def test_the_groups_are_those_of_the_units() -> None:
     assert GATE.gid == CLIENTS
     assert BODY not in PLANNER.groups

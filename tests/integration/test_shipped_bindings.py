@@ -15,7 +15,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
@@ -38,6 +37,7 @@ from authguard_r.site.check import faults
 from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
 
 WORDS = standard_words()
 RID = "robot-1"
@@ -211,7 +211,7 @@ def started(name: str, folder: Path, way: Way, token: bytes) -> Simulation:
         lab(name),
         shipped(name),
         rid=RID,
-        start_ms=worlds.START_MS,
+        start_ms=scenarios.START_MS,
         store=None,
         state=state_for(name, way),
     )
@@ -225,7 +225,7 @@ def test_every_way_of_a_shipped_binding_is_accepted_and_executed(name: str, tmp_
     init_folder(
         folder,
         demo_members(site, (RID,)),
-        now=datetime.fromtimestamp(worlds.START_MS / 1000, UTC),
+        now=datetime.fromtimestamp(scenarios.START_MS / 1000, UTC),
     )
     binder = Binder(site, shipped(name))
     usable = [(way, data) for way, data in samples(name) if not WORDS[way.tool.type].state_writing]

@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError
@@ -24,10 +23,11 @@ from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, until
 from integration.test_gate_watching import FAST, connected
 
-COLLECT = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def gate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGate]:
     folder: Path = tmp_path_factory.mktemp("large") / "trust"
     init_folder(
         folder,
-        worlds.demo_members(worlds.site(), (worlds.RID,)),
+        scenarios.demo_members(scenarios.site(), (scenarios.RID,)),
         now=datetime.now(UTC),
         algorithms=(Algorithm.ML_DSA_87, Algorithm.ML_DSA_87),
     )
@@ -66,6 +66,6 @@ def test_the_stop_lane_proves_itself_with_both_keys_and_stops(gate: RunningGate)
         gate.stop_socket,
         role=ClientRole.OPERATOR,
         verifier=read_trust(gate.trust),
-        robot=worlds.RID,
+        robot=scenarios.RID,
     ) as hand:
         assert hand.stop()["stopped"] is True

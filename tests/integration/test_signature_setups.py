@@ -17,8 +17,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import deliveries
-import worlds
 from authguard_r import safety
 from authguard_r.approvals import Selection, open_approval, open_selection
 from authguard_r.assembly import Simulation, demo_members, folder_signer, sign_terminal, simulate
@@ -46,16 +44,19 @@ from authguard_r.site.signed import read_signed_site, sign_site
 from authguard_r.templates import open_template
 from authguard_r.templates.instance import open_instance
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Mode, Proof, Welcome
+from fixtures import scenarios, templates
 from missionpair.bench import Bench, Scene, approve, choose, order, propose
 from missionpair.suite import restricted
+
+pytestmark = pytest.mark.complete
 
 SETUPS = {
     **{str(algorithm): (algorithm,) for algorithm in Algorithm},
     "hybrid": (Algorithm.ED25519, Algorithm.ML_DSA_65),
 }
-REPLIES = worlds.HOSPITAL / "replies"
+REPLIES = scenarios.HOSPITAL / "replies"
 NONCE = b64(bytes(16))
-LATER = worlds.START_MS + 3_600_000
+LATER = scenarios.START_MS + 3_600_000
 set_ = msgspec.structs.replace
 
 
@@ -74,15 +75,15 @@ class Setup:
         return folder_signer(self.folder, name)
 
     def bench(self) -> Bench:
-        return Bench(self.folder, worlds.site(), worlds.binding(), worlds.START_MS)
+        return Bench(self.folder, scenarios.site(), scenarios.binding(), scenarios.START_MS)
 
     def simulation(self, **kwargs: Any) -> Simulation:
         return simulate(
             self.folder,
-            worlds.site(),
-            worlds.binding(),
-            rid=worlds.RID,
-            start_ms=worlds.START_MS,
+            scenarios.site(),
+            scenarios.binding(),
+            rid=scenarios.RID,
+            start_ms=scenarios.START_MS,
             **{"store": None, **kwargs},
         )
 
@@ -90,12 +91,12 @@ class Setup:
 @pytest.fixture(scope="module", params=SETUPS)
 def setup(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Setup:
     folder = tmp_path_factory.mktemp("setup") / "trust"
-    template = deliveries.digest()
+    template = templates.digest()
     scheduler = Member(
         id="scheduler-0", role=Role.SCHEDULER, robots=None, regions=None, template=template
     )
-    members = (*demo_members(worlds.site(), (worlds.RID, worlds.OTHER)), scheduler)
-    begin = datetime.fromtimestamp(worlds.START_MS / 1_000, UTC)
+    members = (*demo_members(scenarios.site(), (scenarios.RID, scenarios.OTHER)), scheduler)
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1_000, UTC)
     init_folder(folder, members, now=begin, algorithms=SETUPS[request.param])
     return Setup(folder, SETUPS[request.param])
 
@@ -104,7 +105,7 @@ def setup(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def mission_of(by: str = "operator-1") -> Mission:
-    return worlds.mission(issuer=by)
+    return scenarios.mission(issuer=by)
 
 
 def command(verb: Verb, mission: Mission, **changes: Any) -> Command:
@@ -148,7 +149,7 @@ def approval(mission: Mission) -> Approval:
 
 def gate_config() -> Any:
     peers = (Peer(uid=1_000, roles=(ClientRole.PLANNER,)),)
-    return default_config(worlds.RID, peers, Mode.ENFORCE)
+    return default_config(scenarios.RID, peers, Mode.ENFORCE)
 
 
 def terminal(setup: Setup) -> bytes:
@@ -158,21 +159,23 @@ def terminal(setup: Setup) -> bytes:
 
 def shaken(data: bytes, trust: Trust) -> None:
     """Take the proof as a client does who wants this robot's gate."""
-    greeting = Greeting(role=ClientRole.PLANNER, client="planner", verifier=trust, robot=worlds.RID)
+    greeting = Greeting(
+        role=ClientRole.PLANNER, client="planner", verifier=trust, robot=scenarios.RID
+    )
     welcome = Welcome(
         protocol=PROTOCOL,
-        robot=worlds.RID,
+        robot=scenarios.RID,
         mode=Mode.ENFORCE,
         role=ClientRole.PLANNER,
         client="planner",
         proof=data.decode(),
     )
-    require_welcome(welcome, greeting, nonce=NONCE, now=worlds.NOW)
+    require_welcome(welcome, greeting, nonce=NONCE, now=scenarios.NOW)
 
 
 def opened(kind: type[Any], tag: Tag, role: str) -> Callable[[bytes, Trust], object]:
     return lambda data, trust: open_token(
-        data, kind, tag=tag, roles=frozenset({role}), verifier=trust, now=worlds.NOW
+        data, kind, tag=tag, roles=frozenset({role}), verifier=trust, now=scenarios.NOW
     )
 
 
@@ -183,44 +186,44 @@ def signed(value: Callable[[], Any], tag: Tag, by: str) -> Make:
     return lambda setup: sign_object(value(), tag, setup.signer(by))
 
 
-PROOF = Proof(robot=worlds.RID, role=ClientRole.PLANNER, nonce=NONCE)
+PROOF = Proof(robot=scenarios.RID, role=ClientRole.PLANNER, nonce=NONCE)
 #: How each kind of object is signed and how its reader opens it.
 KINDS: dict[str, tuple[Make, Open]] = {
     "mission": (
         signed(mission_of, Tag.MISSION, "operator-1"),
-        lambda d, t: verify_mission(d, verifier=t, now=worlds.NOW, roles=ISSUER_ROLES),
+        lambda d, t: verify_mission(d, verifier=t, now=scenarios.NOW, roles=ISSUER_ROLES),
     ),
     "selection": (
         signed(lambda: selection(mission_of()), Tag.SELECTION, "operator-1"),
-        lambda d, t: open_selection(d, verifier=t, now=worlds.NOW),
+        lambda d, t: open_selection(d, verifier=t, now=scenarios.NOW),
     ),
     "approval": (
         signed(lambda: approval(mission_of()), Tag.APPROVAL, "supervisor-1"),
-        lambda d, t: open_approval(d, verifier=t, now=worlds.NOW),
+        lambda d, t: open_approval(d, verifier=t, now=scenarios.NOW),
     ),
     "command": (
         signed(lambda: command(Verb.REVOKE, mission_of()), Tag.COMMAND, "safety-officer-1"),
         opened(Command, Tag.COMMAND, "safety_officer"),
     ),
     "site": (
-        lambda setup: sign_site(worlds.site(), setup.signer("site-authority-1")),
-        lambda d, t: read_signed_site(d, verifier=t, now=worlds.NOW),
+        lambda setup: sign_site(scenarios.site(), setup.signer("site-authority-1")),
+        lambda d, t: read_signed_site(d, verifier=t, now=scenarios.NOW),
     ),
     "safety configuration": (
         signed(
-            lambda: safety.default_config(worlds.site(), worlds.RID),
+            lambda: safety.default_config(scenarios.site(), scenarios.RID),
             Tag.SAFETY,
             "safety-officer-1",
         ),
-        lambda d, t: safety.open_config(d, verifier=t, now=worlds.NOW),
+        lambda d, t: safety.open_config(d, verifier=t, now=scenarios.NOW),
     ),
     "gate configuration": (
         signed(gate_config, Tag.GATE, "site-authority-1"),
-        lambda d, t: open_gate_config(d, verifier=t, now=worlds.NOW, robot=worlds.RID),
+        lambda d, t: open_gate_config(d, verifier=t, now=scenarios.NOW, robot=scenarios.RID),
     ),
     "snapshot": (
         signed(
-            lambda: snapshot_of(worlds.world(), robot=worlds.RID, epoch=1, seq=1),
+            lambda: snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=1, seq=1),
             Tag.STATE,
             "estimator-courier-1",
         ),
@@ -229,12 +232,12 @@ KINDS: dict[str, tuple[Make, Open]] = {
     "handshake": (signed(lambda: PROOF, Tag.HANDSHAKE, "gate-courier-1"), shaken),
     "checkpoint": (terminal, opened(Terminal, Tag.CHECKPOINT, "gate")),
     "template": (
-        signed(deliveries.template, Tag.TEMPLATE, "operator-1"),
-        lambda d, t: open_template(d, verifier=t, now=worlds.NOW, roles=ISSUER_ROLES),
+        signed(templates.template, Tag.TEMPLATE, "operator-1"),
+        lambda d, t: open_template(d, verifier=t, now=scenarios.NOW, roles=ISSUER_ROLES),
     ),
     "instance": (
-        lambda setup: deliveries.token(at=setup.folder),
-        lambda d, t: open_instance(d, verifier=t, now=worlds.NOW),
+        lambda setup: templates.token(at=setup.folder),
+        lambda d, t: open_instance(d, verifier=t, now=scenarios.NOW),
     ),
 }
 
@@ -279,7 +282,8 @@ def test_every_key_of_a_set_up_is_of_its_algorithm(setup: Setup) -> None:
     for path in sorted((setup.folder / "keys").glob("*.cert.pem")):
         endorsements = setup.signer(path.name.removesuffix(".cert.pem")).endorse(b"go")
         kinds = tuple(
-            algorithm_of(setup.trust.identify(chain, worlds.NOW).key) for chain, _ in endorsements
+            algorithm_of(setup.trust.identify(chain, scenarios.NOW).key)
+            for chain, _ in endorsements
         )
         assert kinds == setup.algorithms
 
@@ -297,7 +301,7 @@ def last(sim: Simulation) -> Any:
 
 def test_the_hospital_s_story_is_played_to_its_end(setup: Setup) -> None:
     bench, sim = setup.bench(), setup.simulation()
-    first = worlds.mission()
+    first = scenarios.mission()
     sim.gate.management.activate(bench.sign(first))
     collect = run(sim, first, (REPLIES / "01-collect.json").read_bytes())
     assert [report.outcome for report in collect] == [Outcome.SUCCEEDED] * 2
@@ -306,7 +310,7 @@ def test_the_hospital_s_story_is_played_to_its_end(setup: Setup) -> None:
     assert refused.outcome is None
     assert "DESTINATION_OUT_OF_SCOPE" in map(str, refused.judged.decision.reasons)
     assert sim.robot.state.region == "pharmacy"
-    draft = worlds.read_yaml((worlds.HOSPITAL / "mission-v2.yaml").read_text(), where="v2")
+    draft = scenarios.read_yaml((scenarios.HOSPITAL / "mission-v2.yaml").read_text(), where="v2")
     second = bench.mission({**draft, "supersedes": digest_of(Tag.MISSION, first)})
     sim.gate.management.activate(bench.sign(second))
     delivered = run(sim, second, hijacked)
@@ -321,7 +325,7 @@ def test_the_hospital_s_story_is_played_to_its_end(setup: Setup) -> None:
         tag=Tag.CHECKPOINT,
         roles=frozenset({"gate"}),
         verifier=setup.trust,
-        now=worlds.NOW,
+        now=scenarios.NOW,
     )
     assert verify_rows(sim.gate.ledger.store.rows(), terminal=end).whole
 
@@ -340,11 +344,13 @@ def test_people_s_answers_orders_and_choices_reach_the_gate(setup: Setup) -> Non
 
 def test_a_scheduler_s_instance_becomes_the_active_mission(setup: Setup) -> None:
     sim = setup.simulation()
-    token = sign_object(deliveries.template(), Tag.TEMPLATE, setup.signer("operator-1"))
+    token = sign_object(templates.template(), Tag.TEMPLATE, setup.signer("operator-1"))
     sim.gate.management.template(token)
-    standing = sim.gate.management.activate(deliveries.token(at=setup.folder))
+    standing = sim.gate.management.activate(templates.token(at=setup.folder))
     assert standing.status == "active"
-    assert worlds.propose(sim, worlds.navigate("dock", "pharmacy")).outcome is Outcome.SUCCEEDED
+    assert (
+        scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome is Outcome.SUCCEEDED
+    )
 
 
 # no half
@@ -353,8 +359,8 @@ def test_a_scheduler_s_instance_becomes_the_active_mission(setup: Setup) -> None
 @pytest.fixture(scope="module")
 def hybrid(tmp_path_factory: pytest.TempPathFactory) -> Setup:
     folder = tmp_path_factory.mktemp("hybrid") / "trust"
-    begin = datetime.fromtimestamp(worlds.START_MS / 1_000, UTC)
-    members = demo_members(worlds.site(), (worlds.RID, worlds.OTHER))
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1_000, UTC)
+    members = demo_members(scenarios.site(), (scenarios.RID, scenarios.OTHER))
     init_folder(folder, members, now=begin, algorithms=SETUPS["hybrid"])
     return Setup(folder, SETUPS["hybrid"])
 
@@ -378,20 +384,20 @@ def test_a_hybrid_mission_stripped_of_either_signature_is_not_activated(
     hybrid: Setup, kept: int
 ) -> None:
     sim = hybrid.simulation()
-    token = hybrid.bench().sign(worlds.mission())
+    token = hybrid.bench().sign(scenarios.mission())
     refused(sim, lambda: sim.gate.management.activate(halves(token)[kept]))
     assert sim.gate.management.standing("deliver-p1") is None
-    go = worlds.navigate("dock", "pharmacy")
-    assert worlds.propose(sim, go).refusal.reason is Reason.NO_ACTIVE_MISSION
+    go = scenarios.navigate("dock", "pharmacy")
+    assert scenarios.propose(sim, go).refusal.reason is Reason.NO_ACTIVE_MISSION
     assert sim.gate.management.activate(token).status == "active"
-    assert worlds.propose(sim, go).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, go).outcome is Outcome.SUCCEEDED
 
 
 @pytest.mark.parametrize("kept", [0, 1])
 def test_a_hybrid_order_or_choice_stripped_of_either_signature_changes_nothing(
     hybrid: Setup, kept: int
 ) -> None:
-    sim, mission = hybrid.simulation(), worlds.mission()
+    sim, mission = hybrid.simulation(), scenarios.mission()
     sim.gate.management.activate(hybrid.bench().sign(mission))
     operator = hybrid.signer("operator-1")
     revoke = sign_object(command(Verb.REVOKE, mission), Tag.COMMAND, operator)

@@ -16,8 +16,6 @@ from typing import Any
 
 import pytest
 
-import lanes
-import worlds
 from authguard_r.client.blocking import GateClient
 from authguard_r.gate.config import Peer as Named
 from authguard_r.gate.lane.journal import WINDOW
@@ -26,24 +24,25 @@ from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import ClientRole, Kind
+from fixtures import estop_fixtures, scenarios
 
 FLOODS, EACH, OWN = 4, 500, 40
 
 
 @pytest.fixture
 def files() -> LaneFiles:
-    return lanes.files()
+    return estop_fixtures.files()
 
 
 @pytest.fixture
 def lane(files: LaneFiles) -> Iterator[Path]:
     """A lane that serves; yields its run folder."""
-    with lanes.process(files):
+    with estop_fixtures.process(files):
         yield files.run
 
 
-def planner(run: Path, name: str = "planner") -> lanes.Client:
-    client = lanes.Client(run)
+def planner(run: Path, name: str = "planner") -> estop_fixtures.Client:
+    client = estop_fixtures.Client(run)
     client.hello(ClientRole.PLANNER, name)
     return client
 
@@ -54,17 +53,18 @@ def spooled(run: Path, name: str = SPOOL) -> list[dict[str, Any]]:
 
 def assert_stops(run: Path) -> None:
     """The lane still does what it is there for."""
-    with lanes.standing_robot(run):
+    with estop_fixtures.standing_robot(run):
         client = planner(run, "witness")
-        lanes.stops(client, "still there?")
+        estop_fixtures.stops(client, "still there?")
         client.close()
 
 
+@pytest.mark.smoke
 def test_a_planner_s_stop_is_carried_out_and_recorded(lane: Path) -> None:
-    with lanes.obedient_robot(lane) as robot:
-        told = lanes.stops(planner(lane), "a person")
+    with estop_fixtures.obedient_robot(lane) as robot:
+        told = estop_fixtures.stops(planner(lane), "a person")
         stood = robot.stops
-    line = lanes.until(lambda: spooled(lane), "the record")[-1]
+    line = estop_fixtures.until(lambda: spooled(lane), "the record")[-1]
     assert (line["by"], line["uid"]) == ("planner", os.geteuid())
     assert (line["role"], line["why"], line["stops"]) == ("planner", "a person", stood)
     assert line["stood_ms"] == told["after_ms"]
@@ -73,20 +73,20 @@ def test_a_planner_s_stop_is_carried_out_and_recorded(lane: Path) -> None:
 def test_the_project_s_own_client_stops_the_robot_and_holds_the_lane_to_its_key(
     lane: Path,
 ) -> None:
-    trust = read_trust(worlds.trust_folder())
+    trust = read_trust(scenarios.trust_folder())
     with (
-        lanes.standing_robot(lane),
+        estop_fixtures.standing_robot(lane),
         GateClient.connect(
-            lane / SOCKET, role=ClientRole.OPERATOR, verifier=trust, robot=worlds.RID
+            lane / SOCKET, role=ClientRole.OPERATOR, verifier=trust, robot=scenarios.RID
         ) as client,
     ):
         client.stop("from the client")
-    (line,) = lanes.until(lambda: spooled(lane, FIRST_SPOOL), "the record")
+    (line,) = estop_fixtures.until(lambda: spooled(lane, FIRST_SPOOL), "the record")
     assert (line["by"], line["why"]) == ("operator", "from the client")
 
 
 def test_a_controller_that_never_stands_leaves_the_stop_unconfirmed(lane: Path) -> None:
-    robot, client = lanes.Robot(lane), planner(lane)
+    robot, client = estop_fixtures.Robot(lane), planner(lane)
     told = client.stop()
     assert (told["stopped"], told["controller"]) == (False, True)
     assert told["after_ms"] >= 1_000
@@ -97,18 +97,21 @@ def test_a_controller_that_is_killed_confirms_nothing_and_its_successor_is_told(
     lane: Path,
 ) -> None:
     client = planner(lane)
-    with lanes.standing_robot(lane) as pid:
+    with estop_fixtures.standing_robot(lane) as pid:
         os.kill(pid, signal.SIGSTOP)
         client.say(Kind.STOP, {}, 1)
         os.kill(pid, signal.SIGKILL)
         assert client.told(Kind.REPLY)["stopped"] is False
-    assert lanes.Robot(lane).halted() > 0
+    assert estop_fixtures.Robot(lane).halted() > 0
 
 
+@pytest.mark.smoke
 def test_a_forged_controller_is_refused_and_hears_nothing() -> None:
-    files = lanes.files(lanes.config(Named(uid=os.geteuid(), roles=(ClientRole.PLANNER,))))
-    with lanes.process(files):
-        forger = lanes.Client(files.run)
+    files = estop_fixtures.files(
+        estop_fixtures.config(Named(uid=os.geteuid(), roles=(ClientRole.PLANNER,)))
+    )
+    with estop_fixtures.process(files):
+        forger = estop_fixtures.Client(files.run)
         said = {"protocol": "authguard-r/gate/1", "role": "controller", "client": "robot"}
         forger.say(Kind.HELLO, said)
         assert forger.dropped()["code"] == "ROLE_DENIED"
@@ -119,9 +122,11 @@ def test_a_forged_controller_is_refused_and_hears_nothing() -> None:
 def test_another_user_s_process_may_not_be_the_gate_nor_what_it_was_not_named_for() -> None:
     if os.geteuid() != 0:
         pytest.skip("only root can become another user")
-    files = lanes.files(lanes.config(Named(uid=4_242, roles=(ClientRole.PLANNER,))))
+    files = estop_fixtures.files(
+        estop_fixtures.config(Named(uid=4_242, roles=(ClientRole.PLANNER,)))
+    )
     files.run.chmod(0o711)
-    with lanes.process(files):
+    with estop_fixtures.process(files):
         (files.run / SOCKET).chmod(0o666)  # as an operator would by the folder's group
         for role, code in (("gate", "ROLE_DENIED"), ("controller", "ROLE_DENIED"), ("planner", "")):
             asked = {"protocol": "authguard-r/gate/1", "role": role, "client": "x"}
@@ -136,7 +141,7 @@ def _as_user(uid: int, run: Path, data: bytes) -> str:
     if child == 0:  # pragma: no cover - another process
         try:
             os.setuid(uid)
-            client = lanes.Client(run)
+            client = estop_fixtures.Client(run)
             if data:
                 client.line.sendall(data)
             got = client.next()
@@ -153,17 +158,17 @@ def _as_user(uid: int, run: Path, data: bytes) -> str:
 
 def test_a_thousand_connections_leave_room_for_those_that_are_there(lane: Path) -> None:
     client = planner(lane)
-    with lanes.obedient_robot(lane):
-        lines = lanes.many(lane, 1_000)
-        lanes.until(lambda: lanes.open_of(lines) <= 62, "the end of the excess")
-        lanes.stops(client)
+    with estop_fixtures.obedient_robot(lane):
+        lines = estop_fixtures.many(lane, 1_000)
+        estop_fixtures.until(lambda: estop_fixtures.open_of(lines) <= 62, "the end of the excess")
+        estop_fixtures.stops(client)
     for line in lines:
         line.close()
 
 
 def test_a_thousand_connections_that_say_nothing_are_ended(lane: Path) -> None:
-    lines = lanes.many(lane, 1_000)
-    lanes.until(lambda: lanes.open_of(lines) == 0, "the end of the silent ones")
+    lines = estop_fixtures.many(lane, 1_000)
+    estop_fixtures.until(lambda: estop_fixtures.open_of(lines) == 0, "the end of the silent ones")
     for line in lines:
         line.close()
     assert_stops(lane)
@@ -188,11 +193,11 @@ BROKEN = (
 
 def test_broken_input_ends_its_own_connection(lane: Path) -> None:
     client = planner(lane)
-    wrong = [lanes.Client(lane) for _ in BROKEN]
-    with lanes.obedient_robot(lane):
+    wrong = [estop_fixtures.Client(lane) for _ in BROKEN]
+    with estop_fixtures.obedient_robot(lane):
         for each, data in zip(wrong, BROKEN, strict=True):
             each.line.sendall(data)
-            lanes.stops(client)
+            estop_fixtures.stops(client)
     for each, data in zip(wrong, BROKEN, strict=True):
         assert each.dropped().get("code"), data
 
@@ -211,17 +216,17 @@ def test_a_client_that_never_reads_is_dropped_and_the_others_are_served(lane: Pa
         client.stop()
         return False
 
-    lanes.until(is_dropped, "the deaf client's end")
+    estop_fixtures.until(is_dropped, "the deaf client's end")
     assert_stops(lane)
 
 
 def test_under_a_flood_from_four_processes_every_stop_is_answered_and_counted(
     lane: Path,
 ) -> None:
-    with lanes.standing_robot(lane), ExitStack() as stack:
+    with estop_fixtures.standing_robot(lane), ExitStack() as stack:
         floods = [
             stack.enter_context(
-                lanes.script(f"flood(pathlib.Path({str(lane)!r}), 'flood-{n}', {EACH})")
+                estop_fixtures.script(f"flood(pathlib.Path({str(lane)!r}), 'flood-{n}', {EACH})")
             )
             for n in range(FLOODS)
         ]
@@ -235,7 +240,7 @@ def test_under_a_flood_from_four_processes_every_stop_is_answered_and_counted(
             assert child.stdout is not None
             assert child.stdout.readline() == b"done\n", child.communicate()[1]
     expected = FLOODS * EACH + OWN
-    lanes.until(lambda: counted(lane) == expected, "the record of all")
+    estop_fixtures.until(lambda: counted(lane) == expected, "the record of all")
     lines = spooled(lane)
     assert [line["n"] for line in lines] == sorted(line["n"] for line in lines)
     assert len({line["epoch"] for line in lines}) == 1
@@ -257,20 +262,20 @@ def test_under_a_flood_from_eight_planners_an_operator_s_stop_is_told_to_a_slow_
     lane: Path,
 ) -> None:
     """The gate hears one stop at a time, and waits for another after each."""
-    with lanes.standing_robot(lane), ExitStack() as stack:
-        gate, operator = lanes.Client(lane), lanes.Client(lane)
+    with estop_fixtures.standing_robot(lane), ExitStack() as stack:
+        gate, operator = estop_fixtures.Client(lane), estop_fixtures.Client(lane)
         gate.hello(ClientRole.GATE)
         operator.hello(ClientRole.OPERATOR, "anna")
         floods = [
             stack.enter_context(
-                lanes.script(f"flood(pathlib.Path({str(lane)!r}), 'flood-{n}', 10**9)")
+                estop_fixtures.script(f"flood(pathlib.Path({str(lane)!r}), 'flood-{n}', 10**9)")
             )
             for n in range(CONNECTIONS)
         ]
         for child in floods:
             assert child.stdout is not None
             assert child.stdout.readline() == b"floods\n"
-        lanes.until(lambda: counted(lane) > 10 * WINDOW, "the flood")
+        estop_fixtures.until(lambda: counted(lane) > 10 * WINDOW, "the flood")
         told = operator.stop("mine")
         assert told["controller"] is True
         gate.say(Kind.SYNC, {}, 5)
@@ -281,43 +286,43 @@ def test_under_a_flood_from_eight_planners_an_operator_s_stop_is_told_to_a_slow_
         answer = gate.next()
         assert answer is not None
         assert (answer.kind, answer.id) == (Kind.REPLY, 5)
-        (line,) = lanes.until(lambda: spooled(lane, FIRST_SPOOL), "the operator's line")
+        (line,) = estop_fixtures.until(lambda: spooled(lane, FIRST_SPOOL), "the operator's line")
         assert line["n"] == stops[-1]["n"]
 
 
 def test_an_operator_s_stop_in_a_flood_outlives_a_killed_lane(files: LaneFiles) -> None:
-    with lanes.process(files) as child:
-        client, operator = planner(files.run), lanes.Client(files.run)
+    with estop_fixtures.process(files) as child:
+        client, operator = planner(files.run), estop_fixtures.Client(files.run)
         operator.hello(ClientRole.OPERATOR, "anna")
         client.line.sendall(frame(Kind.STOP, 1, {}) * 300)
         operator.stop("mine")
-        lanes.until(lambda: spooled(files.run, FIRST_SPOOL), "the operator's line")
+        estop_fixtures.until(lambda: spooled(files.run, FIRST_SPOOL), "the operator's line")
         child.kill()
         child.wait()
-    with lanes.process(files):
-        gate = lanes.Client(files.run)
+    with estop_fixtures.process(files):
+        gate = estop_fixtures.Client(files.run)
         gate.hello(ClientRole.GATE)
         first = gate.told(Kind.EVENT)
         assert (first["role"], first["by"], first["why"]) == ("operator", "anna", "mine")
 
 
 def test_a_lane_that_is_killed_leaves_its_records_to_the_next_one(files: LaneFiles) -> None:
-    with lanes.process(files) as child:
+    with estop_fixtures.process(files) as child:
         client = planner(files.run)
         for number in range(3):
             client.stop(str(number))
-        lanes.until(lambda: len(spooled(files.run)) == 3, "the records")
+        estop_fixtures.until(lambda: len(spooled(files.run)) == 3, "the records")
         child.kill()
         child.wait()
         assert client.next() is None
     with (files.run / SPOOL).open("ab") as file:
         file.write(b'{"epoch":1,"n":9')  # it died in the middle of a line
     assert (files.run / SOCKET).exists()
-    with lanes.process(files):
+    with estop_fixtures.process(files):
         client = planner(files.run)
         client.stop("after")
-        lanes.until(lambda: len(spooled(files.run)) == 4, "the next record")
-        gate = lanes.Client(files.run)
+        estop_fixtures.until(lambda: len(spooled(files.run)) == 4, "the next record")
+        gate = estop_fixtures.Client(files.run)
         gate.hello(ClientRole.GATE)
         heard = [gate.told(Kind.EVENT) for _ in range(4)]
         assert [(stop["n"], stop["why"]) for stop in heard] == [
@@ -329,9 +334,10 @@ def test_a_lane_that_is_killed_leaves_its_records_to_the_next_one(files: LaneFil
         assert heard[0]["epoch"] == heard[2]["epoch"] < heard[3]["epoch"]
         for n in (4, 2, 1, 3):
             gate.say(Kind.HEARD, {"n": n})
-        lanes.until(lambda: not spooled(files.run), "the emptying")
+        estop_fixtures.until(lambda: not spooled(files.run), "the emptying")
 
 
+@pytest.mark.smoke
 def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
     files: LaneFiles,
 ) -> None:
@@ -339,10 +345,10 @@ def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
     call = f"start_and_wait({words!r})"
     lane = 0
     try:
-        with lanes.script(call) as first:
+        with estop_fixtures.script(call) as first:
             assert first.stdout is not None
             lane = int(first.stdout.readline())
-            client, gate = planner(files.run), lanes.Client(files.run)
+            client, gate = planner(files.run), estop_fixtures.Client(files.run)
             gate.hello(ClientRole.GATE)
             client.stop("one")
             assert gate.told(Kind.EVENT)["why"] == "one"
@@ -350,10 +356,10 @@ def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
             first.wait()
             gate.line.shutdown(socket.SHUT_RDWR)  # the kernel does it to a gate that dies
             client.stop("two")
-        with lanes.script(call) as second:
+        with estop_fixtures.script(call) as second:
             assert second.stdout is not None
             assert second.stdout.readline() == b"0\n"
-            gate = lanes.Client(files.run)
+            gate = estop_fixtures.Client(files.run)
             gate.hello(ClientRole.GATE)
             assert [gate.told(Kind.EVENT)["why"] for _ in range(2)] == ["one", "two"]
         assert_stops(files.run)
@@ -363,7 +369,7 @@ def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
 
 
 def test_a_second_lane_is_refused_with_its_reason(files: LaneFiles) -> None:
-    with lanes.process(files):
+    with estop_fixtures.process(files):
         words = [sys.executable, "-c", "from authguard_r.cli import main; main()", "stop-lane"]
         for name in ("run", "robot", "trust", "key", "cert", "config"):
             words += [f"--{name}", str(getattr(files, name))]
@@ -379,10 +385,10 @@ def test_a_second_lane_is_refused_with_its_reason(files: LaneFiles) -> None:
 def test_a_lane_that_is_asked_to_end_leaves_nothing_behind(
     files: LaneFiles, number: signal.Signals
 ) -> None:
-    with lanes.process(files) as child:
+    with estop_fixtures.process(files) as child:
         assert (files.run / PID).read_text() == f"{child.pid}\n"
         child.send_signal(number)
-        assert child.wait(lanes.SOON_S) == 0
+        assert child.wait(estop_fixtures.SOON_S) == 0
         assert not is_served(files.run / SOCKET)
         left = ["gate.token", FIRST_SPOOL, EPOCH, SPOOL]
         assert sorted(path.name for path in files.run.iterdir()) == left

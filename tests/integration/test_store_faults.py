@@ -24,7 +24,6 @@ from typing import Any, TypeVar
 import apsw
 import pytest
 
-import worlds
 from authguard_r import assembly, times
 from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.verify import Row, verify_rows
@@ -43,16 +42,17 @@ from authguard_r.report import stop_entry
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import APPLICATION_ID, FORMAT, open_store, read_held, read_rows
+from fixtures import scenarios
 
 T = TypeVar("T")
 SEED = int(os.environ.get("AUTHGUARD_SEED", "404"))
 HOUR_MS = 3_600_000
 PATIENCE = 60
 #: The hospital mission for a whole day: a store's own time may be later than the story's.
-MISSION = worlds.mission(window={"for": "20 h"})
+MISSION = scenarios.mission(window={"for": "20 h"})
 MID = MISSION.mid
 LOOK = Action(type="scan_obstacles", tool="lidar", params={})
-LEG = worlds.navigate("dock", "pharmacy", speed=800)
+LEG = scenarios.navigate("dock", "pharmacy", speed=800)
 PICK = Action(
     type="pick",
     tool="gripper",
@@ -71,8 +71,8 @@ def path(tmp_path: Path) -> Path:
 @pytest.fixture
 def sim(path: Path) -> Iterator[Simulation]:
     """A gate on a file, with the hospital mission active."""
-    made = worlds.simulation(store=path)
-    made.gate.management.activate(worlds.token(MISSION))
+    made = scenarios.simulation(store=path)
+    made.gate.management.activate(scenarios.token(MISSION))
     yield made
     made.gate.close()
 
@@ -106,7 +106,7 @@ def require_refused(sim: Simulation, report: Any, reason: Reason) -> None:
 
 def require_goes_on(sim: Simulation) -> None:
     """The next action is carried out, and the log is whole."""
-    report = worlds.propose(sim, LOOK)
+    report = scenarios.propose(sim, LOOK)
     assert report.outcome is Outcome.SUCCEEDED
     assert report.outcome_recorded
     assert len(sim.robot.trace) == 1
@@ -126,7 +126,7 @@ def command(sim: Simulation, verb: Verb, **more: Any) -> Standing:
         expires_ms=sim.robot.wall_ms() + 60_000,
         **more,
     )
-    signer = folder_signer(worlds.trust_folder(), "operator-1")
+    signer = folder_signer(scenarios.trust_folder(), "operator-1")
     return sim.gate.management.command(sign_object(made, Tag.COMMAND, signer))
 
 
@@ -233,16 +233,17 @@ def fault(
     vfs.unregister()
 
 
+@pytest.mark.smoke
 def test_an_action_that_cannot_be_recorded_is_refused_and_never_begun(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
-    (broken, reason), sim = fault, worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token(MISSION))
+    (broken, reason), sim = fault, scenarios.simulation(store=path)
+    sim.gate.management.activate(scenarios.token(MISSION))
     standing = standing_of(sim)
     broken.break_it(sim)
     rows = rows_of(sim)
     for _ in range(3):
-        require_refused(sim, worlds.propose(sim, LOOK), reason)
+        require_refused(sim, scenarios.propose(sim, LOOK), reason)
     broken.mend(sim)
     assert rows_of(sim) == rows
     assert standing_of(sim) == standing
@@ -254,25 +255,26 @@ def test_an_action_that_cannot_be_recorded_is_refused_and_never_begun(
 def test_a_mission_that_cannot_be_recorded_is_not_activated(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
-    (broken, reason), sim = fault, worlds.simulation(store=path)
+    (broken, reason), sim = fault, scenarios.simulation(store=path)
     broken.break_it(sim)
     with pytest.raises(StoreError) as refused:
-        sim.gate.management.activate(worlds.token(MISSION))
+        sim.gate.management.activate(scenarios.token(MISSION))
     assert refused.value.reason is reason
     broken.mend(sim)
     assert sim.gate.management.standing(MID) is None
     assert "management" not in kinds(rows_of(sim))
-    assert worlds.propose(sim, LOOK).refusal.reason is Reason.NO_ACTIVE_MISSION
-    sim.gate.management.activate(worlds.token(MISSION))
+    assert scenarios.propose(sim, LOOK).refusal.reason is Reason.NO_ACTIVE_MISSION
+    sim.gate.management.activate(scenarios.token(MISSION))
     require_goes_on(sim)
     sim.gate.close()
 
 
+@pytest.mark.smoke
 def test_a_stop_is_carried_out_on_a_store_that_takes_nothing(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
-    (broken, _), sim = fault, worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token(MISSION))
+    (broken, _), sim = fault, scenarios.simulation(store=path)
+    sim.gate.management.activate(scenarios.token(MISSION))
     broken.break_it(sim)
     sim.gate.enforcer.stop(by="planner", is_planner=True)
     sim.gate.enforcer.stop(by="operator-1", is_planner=False)
@@ -285,8 +287,8 @@ def test_a_stop_is_carried_out_on_a_store_that_takes_nothing(
 def test_an_outcome_that_cannot_be_recorded_leaves_its_release_to_a_person(
     fault: tuple[Broken, Reason], path: Path
 ) -> None:
-    (broken, _), sim = fault, worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token(MISSION))
+    (broken, _), sim = fault, scenarios.simulation(store=path)
+    sim.gate.management.activate(scenarios.token(MISSION))
     begin = sim.robot.dispatch
 
     def dispatch(action: Action, lease: Lease) -> Flight:
@@ -294,7 +296,7 @@ def test_an_outcome_that_cannot_be_recorded_leaves_its_release_to_a_person(
         return begin(action, lease)
 
     sim.robot.dispatch = dispatch  # type: ignore[method-assign, assignment]
-    report = worlds.propose(sim, LEG)
+    report = scenarios.propose(sim, LEG)
     assert report.outcome is Outcome.SUCCEEDED
     assert not report.outcome_recorded
     assert sim.robot.state.region == "pharmacy"
@@ -303,23 +305,23 @@ def test_an_outcome_that_cannot_be_recorded_leaves_its_release_to_a_person(
     assert "outcome" not in kinds(rows_of(sim))
     sim.gate.close()
 
-    later_ms = worlds.START_MS + 600_000
-    again = worlds.simulation(store=path, start=sim.robot.state, start_ms=later_ms)
+    later_ms = scenarios.START_MS + 600_000
+    again = scenarios.simulation(store=path, start=sim.robot.state, start_ms=later_ms)
     assert again.gate.management.recover() == (release.ticket,)
     assert standing_of(again).status is Status.SUSPENDED
-    assert worlds.propose(again, PICK).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
+    assert scenarios.propose(again, PICK).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
     command(again, Verb.RESOLVE, ticket=release.ticket, outcome=Outcome.SUCCEEDED)
-    assert worlds.propose(again, PICK).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
+    assert scenarios.propose(again, PICK).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
     assert again.robot.trace == []
     command(again, Verb.RESUME)
-    assert worlds.propose(again, PICK).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(again, PICK).outcome is Outcome.SUCCEEDED
     again.gate.close()
     assert verify_rows(read_rows(path), terminal=None).whole
 
 
 def test_a_gate_whose_store_was_closed_refuses(sim: Simulation) -> None:
     sim.gate.close()
-    report = worlds.propose(sim, LOOK)
+    report = scenarios.propose(sim, LOOK)
     require_refused(sim, report, Reason.STORE_UNAVAILABLE)
     assert report.seq is None
     sim.gate.enforcer.stop(by="operator-1", is_planner=False)
@@ -334,7 +336,7 @@ def require_not_opened(path: Path, reason: Reason) -> None:
     before = path.read_bytes()
     attempts: tuple[Callable[[], object], ...] = (
         lambda: open_store(path),
-        lambda: worlds.simulation(store=path),
+        lambda: scenarios.simulation(store=path),
         lambda: list(read_rows(path)),
         lambda: read_held(path, "active", "mission"),
     )
@@ -351,8 +353,9 @@ def test_a_store_that_a_gate_holds_cannot_be_opened_again(sim: Simulation, path:
     require_goes_on(sim)
 
 
+@pytest.mark.smoke
 def test_a_store_that_another_process_holds_cannot_be_opened(path: Path) -> None:
-    worlds.simulation(store=path).gate.close()
+    scenarios.simulation(store=path).gate.close()
     program = (
         "import sys; from pathlib import Path; from authguard_r.store.sqlite import open_store; "
         "store = open_store(Path(sys.argv[1])); print('open', flush=True); sys.stdin.read()"
@@ -364,8 +367,8 @@ def test_a_store_that_another_process_holds_cannot_be_opened(path: Path) -> None
         assert other.stdout.readline() == b"open\n"
         require_not_opened(path, Reason.STORE_UNAVAILABLE)
         other.communicate()
-    again = worlds.simulation(store=path)
-    again.gate.management.activate(worlds.token(MISSION))
+    again = scenarios.simulation(store=path)
+    again.gate.management.activate(scenarios.token(MISSION))
     require_goes_on(again)
     again.gate.close()
 
@@ -405,14 +408,14 @@ def test_a_database_of_another_program_is_refused_and_left_alone(path: Path, set
 
 
 def test_a_store_of_a_newer_program_is_refused_until_it_is_ours_again(path: Path) -> None:
-    made = worlds.simulation(store=path)
-    made.gate.management.activate(worlds.token(MISSION))
+    made = scenarios.simulation(store=path)
+    made.gate.management.activate(scenarios.token(MISSION))
     made.gate.close()
     for version in (FORMAT + 1, 1_000):
         set_version(path, version)
         require_not_opened(path, Reason.STORE_NEWER)
     set_version(path, FORMAT)
-    again = worlds.simulation(store=path)
+    again = scenarios.simulation(store=path)
     require_goes_on(again)
     again.gate.close()
 
@@ -440,19 +443,19 @@ class ReadOnly(apsw.VFS):
 def test_a_store_on_a_read_only_disk_is_refused_until_it_can_be_written(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = worlds.simulation(store=path)
-    made.gate.management.activate(worlds.token(MISSION))
+    made = scenarios.simulation(store=path)
+    made.gate.management.activate(scenarios.token(MISSION))
     made.gate.close()
     before = path.read_bytes()
     vfs = ReadOnly()
     with monkeypatch.context() as patched:
         patched.setattr(assembly, "open_store", partial(open_store, vfs=vfs.name))
         with pytest.raises(StoreError) as refused:
-            worlds.simulation(store=path)
+            scenarios.simulation(store=path)
     vfs.unregister()
     assert refused.value.reason is Reason.STORE_READ_ONLY
     assert path.read_bytes() == before
-    again = worlds.simulation(store=path)
+    again = scenarios.simulation(store=path)
     require_goes_on(again)
     again.gate.close()
 
@@ -461,7 +464,7 @@ def test_a_store_on_a_read_only_disk_is_refused_until_it_can_be_written(
 def test_a_place_that_can_hold_no_file_is_refused(tmp_path: Path, place: str) -> None:
     path = tmp_path if place == "folder" else tmp_path / "no" / "store.db"
     with pytest.raises(StoreError) as refused:
-        worlds.simulation(store=path)
+        scenarios.simulation(store=path)
     assert refused.value.reason is Reason.STORE_UNAVAILABLE
     with pytest.raises(StoreError):
         list(read_rows(path))
@@ -508,8 +511,8 @@ def half_made(how: str, folder: Path) -> Path:
 
 @pytest.mark.parametrize("how", ["empty", "header", "journal"])
 def test_a_store_that_was_half_made_is_made_anew(tmp_path: Path, how: str) -> None:
-    sim = worlds.simulation(store=half_made(how, tmp_path))
-    sim.gate.management.activate(worlds.token(MISSION))
+    sim = scenarios.simulation(store=half_made(how, tmp_path))
+    sim.gate.management.activate(scenarios.token(MISSION))
     require_goes_on(sim)
     assert kinds(rows_of(sim)) == ["genesis", "management", "decision", "outcome"]
     sim.gate.close()
@@ -530,15 +533,15 @@ def test_a_store_that_was_half_made_is_of_no_simulated_time(tmp_path: Path, how:
 def filled(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A closed store with an active mission that has some history and is not done."""
     path = tmp_path_factory.mktemp("filled") / "store.db"
-    sim = worlds.simulation(store=path)
-    sim.gate.management.activate(worlds.token(MISSION))
+    sim = scenarios.simulation(store=path)
+    sim.gate.management.activate(scenarios.token(MISSION))
     for _ in range(8):
-        assert worlds.propose(sim, LOOK).outcome is Outcome.SUCCEEDED
+        assert scenarios.propose(sim, LOOK).outcome is Outcome.SUCCEEDED
     sim.gate.close()
     return path.read_bytes()
 
 
-LATER_MS = worlds.START_MS + 60_000
+LATER_MS = scenarios.START_MS + 60_000
 PAGE = 4_096
 
 
@@ -570,9 +573,9 @@ def test_a_table_that_was_overwritten_stops_the_gate_and_nothing_else(
         assert verify_rows(read_rows(path), terminal=None).whole
     else:
         require_corrupt(lambda: list(read_rows(path)))
-    require_corrupt(lambda: worlds.simulation(store=path, start_ms=LATER_MS))
+    require_corrupt(lambda: scenarios.simulation(store=path, start_ms=LATER_MS))
     path.write_bytes(filled)
-    again = worlds.simulation(store=path, start_ms=LATER_MS)
+    again = scenarios.simulation(store=path, start_ms=LATER_MS)
     require_goes_on(again)
     again.gate.close()
 
@@ -583,7 +586,7 @@ def test_a_gate_that_cannot_be_assembled_lets_go_of_its_store(
     at = root_of(filled, "held", tmp_path)
     path.write_bytes(filled[:at] + b"\xff" * PAGE + filled[at + PAGE :])
     with pytest.raises(StoreError) as refused:
-        worlds.simulation(store=path, start_ms=LATER_MS)
+        scenarios.simulation(store=path, start_ms=LATER_MS)
     open_store(path).close()  # although the exception, and with it every frame, still lives
     assert refused.value.reason is Reason.STORE_CORRUPT
 
@@ -592,7 +595,7 @@ def test_a_held_page_that_rots_under_an_open_gate_refuses_its_next_action(
     filled: bytes, path: Path, tmp_path: Path
 ) -> None:
     path.write_bytes(filled)
-    sim = worlds.simulation(store=path, start_ms=LATER_MS)
+    sim = scenarios.simulation(store=path, start_ms=LATER_MS)
     at = root_of(filled, "held", tmp_path)
     connection(sim).execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
     with path.open("r+b") as file:
@@ -600,7 +603,7 @@ def test_a_held_page_that_rots_under_an_open_gate_refuses_its_next_action(
         file.write(b"\xff" * PAGE)
     connection(sim).release_memory()
     connection(sim).execute("PRAGMA shrink_memory").fetchall()
-    report = worlds.propose(sim, LOOK)
+    report = scenarios.propose(sim, LOOK)
     require_refused(sim, report, Reason.STORE_CORRUPT)
     sim.gate.close()
 
@@ -609,7 +612,7 @@ def test_a_held_page_that_rots_under_an_open_gate_refuses_its_next_action(
 def test_a_store_that_was_cut_short_is_refused(filled: bytes, path: Path, kept: float) -> None:
     path.write_bytes(filled[: int(len(filled) * kept) // PAGE * PAGE])
     require_corrupt(lambda: list(read_rows(path)))
-    require_corrupt(lambda: worlds.simulation(store=path, start_ms=LATER_MS))
+    require_corrupt(lambda: scenarios.simulation(store=path, start_ms=LATER_MS))
 
 
 @pytest.mark.parametrize(
@@ -676,9 +679,9 @@ def test_no_damage_to_the_file_gets_anything_but_a_store_error_out_of_it(
         found = attempt(lambda: verify_rows(read_rows(path), terminal=None))
         attempt(lambda: read_held(path, "standing", MID))
         attempt(lambda: times.store_clock(path))
-        sim = attempt(lambda: worlds.simulation(store=path, start_ms=LATER_MS))
+        sim = attempt(lambda: scenarios.simulation(store=path, start_ms=LATER_MS))
         if sim is not None:
-            report = worlds.propose(sim, LOOK)  # whatever it says, it says it
+            report = scenarios.propose(sim, LOOK)  # whatever it says, it says it
             assert report.judged is not None or sim.robot.trace == []
             sim.gate.enforcer.stop(by="planner", is_planner=True)
             assert sim.robot.stops > 0
@@ -695,7 +698,7 @@ def test_a_clock_that_ran_backwards_refuses_once_in_the_log_and_lets_nothing_mov
 ) -> None:
     before = rows_of(sim)
     sim.robot._start_ms -= HOUR_MS
-    report = worlds.propose(sim, LOOK)
+    report = scenarios.propose(sim, LOOK)
     require_refused(sim, report, Reason.CLOCK_BEHIND)
     (added,) = rows_of(sim)[len(before) :]
     record = json.loads(added.record)
@@ -706,6 +709,7 @@ def test_a_clock_that_ran_backwards_refuses_once_in_the_log_and_lets_nothing_mov
     assert verify_rows(rows_of(sim), terminal=None).whole
 
 
+@pytest.mark.smoke
 def test_a_clock_that_ran_backwards_stops_no_stop(sim: Simulation) -> None:
     sim.robot._start_ms -= HOUR_MS
     sim.gate.enforcer.stop(by="operator-1", is_planner=False)
@@ -717,7 +721,7 @@ def test_a_clock_that_ran_backwards_stops_no_stop(sim: Simulation) -> None:
 def test_a_clock_that_ran_backwards_gives_and_takes_no_authority(sim: Simulation) -> None:
     rows, standing = rows_of(sim), standing_of(sim)
     sim.robot._start_ms -= HOUR_MS
-    signer = folder_signer(worlds.trust_folder(), "operator-1")
+    signer = folder_signer(scenarios.trust_folder(), "operator-1")
     order = Command(
         verb=Verb.REVOKE,
         mid=MID,
@@ -729,7 +733,7 @@ def test_a_clock_that_ran_backwards_gives_and_takes_no_authority(sim: Simulation
     management = sim.gate.management
     acts: tuple[Callable[[], object], ...] = (
         lambda: management.command(sign_object(order, Tag.COMMAND, signer)),
-        lambda: management.activate(worlds.token(worlds.mission(mission="another"))),
+        lambda: management.activate(scenarios.token(scenarios.mission(mission="another"))),
     )
     for act in acts:
         with pytest.raises(ClockError):
@@ -741,7 +745,7 @@ def test_a_clock_that_ran_backwards_gives_and_takes_no_authority(sim: Simulation
 
 def test_a_mission_goes_on_when_the_clock_is_mended(sim: Simulation) -> None:
     sim.robot._start_ms -= HOUR_MS
-    require_refused(sim, worlds.propose(sim, LOOK), Reason.CLOCK_BEHIND)
+    require_refused(sim, scenarios.propose(sim, LOOK), Reason.CLOCK_BEHIND)
     sim.robot._start_ms += HOUR_MS
     # the snapshot that came in between was no fault of its own
     require_goes_on(sim)
@@ -752,7 +756,7 @@ def test_a_clock_may_be_behind_by_the_skew_and_no_more(
     sim: Simulation, behind_ms: int, is_refused: bool
 ) -> None:
     sim.robot._start_ms -= behind_ms
-    report = worlds.propose(sim, LOOK)
+    report = scenarios.propose(sim, LOOK)
     assert (report.refusal is not None) is is_refused
     if not is_refused:
         assert report.outcome is Outcome.SUCCEEDED
@@ -769,7 +773,7 @@ def test_a_clock_that_runs_backwards_under_way_stops_the_robot(sim: Simulation) 
             sim.robot._start_ms -= HOUR_MS
 
     sim.robot.pause = pause  # type: ignore[method-assign]
-    report = worlds.propose(sim, LEG)
+    report = scenarios.propose(sim, LEG)
     assert report.outcome is Outcome.ABORTED
     assert [finding.reason for finding in report.reasons] == [Reason.CLOCK_BEHIND]
     assert sim.robot.stops == 1
@@ -783,18 +787,18 @@ def test_a_clock_that_runs_backwards_under_way_stops_the_robot(sim: Simulation) 
 
 
 def test_a_gate_restarted_on_a_clock_that_is_behind_its_store_refuses(path: Path) -> None:
-    first = worlds.simulation(store=path, start_ms=worlds.START_MS + 2 * HOUR_MS)
-    first.gate.management.activate(worlds.token(MISSION))
+    first = scenarios.simulation(store=path, start_ms=scenarios.START_MS + 2 * HOUR_MS)
+    first.gate.management.activate(scenarios.token(MISSION))
     first.gate.close()
-    behind = worlds.simulation(store=path, start_ms=worlds.START_MS + 2 * HOUR_MS)
+    behind = scenarios.simulation(store=path, start_ms=scenarios.START_MS + 2 * HOUR_MS)
     behind.robot._start_ms -= HOUR_MS
-    require_refused(behind, worlds.propose(behind, LOOK), Reason.CLOCK_BEHIND)
+    require_refused(behind, scenarios.propose(behind, LOOK), Reason.CLOCK_BEHIND)
     with pytest.raises(ClockError):
         behind.gate.management.recover()
     behind.gate.enforcer.stop(by="operator-1", is_planner=False)
     assert behind.robot.stops == 1
     behind.gate.close()
-    mended = worlds.simulation(store=path, start_ms=worlds.START_MS + 3 * HOUR_MS)
+    mended = scenarios.simulation(store=path, start_ms=scenarios.START_MS + 3 * HOUR_MS)
     require_goes_on(mended)
     mended.gate.close()
 
@@ -802,10 +806,10 @@ def test_a_gate_restarted_on_a_clock_that_is_behind_its_store_refuses(path: Path
 def test_a_simulated_gate_takes_no_time_from_the_machine(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    worlds.simulation(store=path).gate.close()
-    monkeypatch.setattr(time, "time_ns", lambda: (worlds.START_MS + 48 * HOUR_MS) * 1_000_000)
-    again = worlds.simulation(store=path, start_ms=worlds.START_MS + HOUR_MS)
-    assert again.robot.wall_ms() == worlds.START_MS + HOUR_MS
+    scenarios.simulation(store=path).gate.close()
+    monkeypatch.setattr(time, "time_ns", lambda: (scenarios.START_MS + 48 * HOUR_MS) * 1_000_000)
+    again = scenarios.simulation(store=path, start_ms=scenarios.START_MS + HOUR_MS)
+    assert again.robot.wall_ms() == scenarios.START_MS + HOUR_MS
     again.gate.close()
 
 
@@ -857,7 +861,7 @@ class SetClock:
     """A clock that stands where it was put."""
 
     def __init__(self) -> None:
-        self.wall = worlds.START_MS
+        self.wall = scenarios.START_MS
         self.mono = 0
 
     def wall_ms(self) -> int:
@@ -873,13 +877,14 @@ class SetClock:
 
 def late_ledger() -> tuple[Late, SetClock, Ledger]:
     store, clock = Late(MemoryStore()), SetClock()
-    ledger = Ledger(store, clock, robot=worlds.RID, salts=worlds.random_bytes, genesis={})
+    ledger = Ledger(store, clock, robot=scenarios.RID, salts=scenarios.random_bytes, genesis={})
     return store, clock, ledger
 
 
+@pytest.mark.smoke
 def test_an_act_that_comes_back_late_does_not_undo_a_revocation_for_a_running_lease() -> None:
     store, _, ledger = late_ledger()
-    active = worlds.active(worlds.verified())
+    active = scenarios.active(scenarios.verified())
     revoked = advance(active, Event.REVOKE)
     assert revoked is not None
     ledger.run(lambda act: act.hold(active))
@@ -906,9 +911,9 @@ def test_an_act_that_comes_back_late_does_not_turn_trusted_time_back() -> None:
 
 def test_a_controller_that_refuses_is_no_store_fault_and_gives_the_start_back(path: Path) -> None:
     """The near miss of everything above: the store works, and the log says what did not."""
-    sim = worlds.simulation(store=path, faults=Faults(controller_refuses=True))
-    sim.gate.management.activate(worlds.token(MISSION))
-    report = worlds.propose(sim, LOOK)
+    sim = scenarios.simulation(store=path, faults=Faults(controller_refuses=True))
+    sim.gate.management.activate(scenarios.token(MISSION))
+    report = scenarios.propose(sim, LOOK)
     assert report.outcome is Outcome.NOT_STARTED
     assert [finding.reason for finding in report.reasons] == [Reason.CONTROLLER_FAILED]
     assert kinds(rows_of(sim))[-2:] == ["decision", "outcome"]

@@ -14,7 +14,6 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
-import worlds
 from authguard_r.approvals import answer
 from authguard_r.audit.record import read_record
 from authguard_r.cli import call
@@ -29,8 +28,9 @@ from authguard_r.frost import curve, signing
 from authguard_r.frost.keys import Dealt, deal
 from authguard_r.frost.messages import Share, written
 from authguard_r.wire.messages import ClientRole
-from frosts import prepared, signature
-from gates import RunningGate, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, until
+from fixtures.threshold_groups import prepared, signature
 from missionpair.bench import Bench, Scene, calls, make_bench, propose
 from missionpair.suite import at_dock, wide, with_grant
 
@@ -252,7 +252,7 @@ def test_a_group_answers_at_a_gate_that_runs(
 ) -> None:
     """Ballot from the gate, files between the members, the token to the gate: by commands alone."""
     trust = tmp_path / "trust"
-    shutil.copytree(worlds.trust_folder(), trust)  # the same root: the gate knows the authority
+    shutil.copytree(scenarios.trust_folder(), trust)  # the same root: the gate knows the authority
 
     def done(*words: object) -> dict[str, Any]:
         capsys.readouterr()
@@ -270,7 +270,7 @@ def test_a_group_answers_at_a_gate_that_runs(
         "destination": "isolation-room",
         "regions": ["dock", "isolation-room", "public-corridor"],
     }
-    draft = with_grant(worlds.draft(), "go-to-pharmacy", rows=[row], until=[])
+    draft = with_grant(scenarios.draft(), "go-to-pharmacy", rows=[row], until=[])
     policy = {**draft["risk_policy"], "tau_2": 31, "t": 4}
     with RunningGate(simulate=True, refusals=0) as gate:
         gate.activate(

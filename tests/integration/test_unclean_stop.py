@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
@@ -18,23 +17,24 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.ledger import Act
+from fixtures import scenarios
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 
 
 def order(verb: Verb, **changes: Any) -> bytes:
-    mission = worlds.mission()
+    mission = scenarios.mission()
     value = Command(
         verb=verb,
         mid=mission.mid,
         version=1,
         mission=digest_of(Tag.MISSION, mission),
-        nonce=b64(worlds.random_bytes(16)),
-        expires_ms=worlds.START_MS + 10**8,
+        nonce=b64(scenarios.random_bytes(16)),
+        expires_ms=scenarios.START_MS + 10**8,
         **changes,
     )
     return sign_object(
-        value, Tag.COMMAND, worlds.folder_signer(worlds.trust_folder(), "operator-1")
+        value, Tag.COMMAND, scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
     )
 
 
@@ -44,20 +44,20 @@ def recoveries(sim: Simulation) -> list[dict[str, Any]]:
 
 
 def active() -> Simulation:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     return sim
 
 
 def test_the_mark_says_whether_the_last_stop_was_a_clean_one(tmp_path: Path) -> None:
     store = tmp_path / "robot.db"
     for unclean in (False, False, True, True, False):
-        sim = worlds.simulation(store=store)
+        sim = scenarios.simulation(store=store)
         records = len(sim.gate.ledger.store.rows()) if hasattr(sim.gate.ledger.store, "rows") else 0
         if unclean:  # the one before died without a word
             sim.gate.management.started()
             sim.gate.close()
-            sim = worlds.simulation(store=store)
+            sim = scenarios.simulation(store=store)
         assert sim.gate.management.started() is unclean
         sim.gate.management.stopped()
         assert records == 0 or records == len(sim.gate.ledger.store.rows())  # type: ignore[attr-defined]
@@ -65,7 +65,7 @@ def test_the_mark_says_whether_the_last_stop_was_a_clean_one(tmp_path: Path) -> 
 
 
 def test_a_mark_that_is_neither_is_no_clean_stop() -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     sim.gate.ledger.run(lambda act: act.put("gate", "running", b"?"))
     assert sim.gate.management.started()
     assert sim.gate.management.started()
@@ -74,7 +74,7 @@ def test_a_mark_that_is_neither_is_no_clean_stop() -> None:
 
 
 def test_a_mark_that_cannot_be_written_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
 
     def fails(_: Act, *__: Any) -> None:
         raise StoreError("the disk is gone")
@@ -93,18 +93,18 @@ def test_after_an_unclean_stop_the_mission_waits_for_a_signed_resume() -> None:
     assert recoveries(sim) == [
         {"verb": "recover", "status": "suspended", "unknown": 0, "unclean": True}
     ]
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
     assert sim.robot.trace == []
     assert sim.gate.management.command(order(Verb.RESUME)).status == "active"
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
 
 
 def test_after_a_clean_stop_the_mission_goes_on() -> None:
     sim = active()
     assert sim.gate.management.recover() == ()
     assert recoveries(sim) == []
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
 
 
 def test_an_unclean_stop_of_a_mission_that_waits_already_says_so_and_leaves_it() -> None:
@@ -116,7 +116,7 @@ def test_an_unclean_stop_of_a_mission_that_waits_already_says_so_and_leaves_it()
 
 @pytest.mark.parametrize("ended", [True, False])
 def test_where_no_mission_is_active_there_is_nothing_to_suspend(ended: bool) -> None:
-    sim = active() if ended else worlds.simulation()
+    sim = active() if ended else scenarios.simulation()
     if ended:
         sim.gate.management.command(order(Verb.COMPLETE))
     assert sim.gate.management.recover(unclean=True) == ()
@@ -125,7 +125,7 @@ def test_where_no_mission_is_active_there_is_nothing_to_suspend(ended: bool) -> 
 
 def test_a_mission_that_is_over_but_still_named_stays_over() -> None:
     sim = active()
-    standing = sim.gate.management.standing(worlds.mission().mid)
+    standing = sim.gate.management.standing(scenarios.mission().mid)
     assert standing is not None
     from msgspec.structs import replace
 
@@ -136,23 +136,23 @@ def test_a_mission_that_is_over_but_still_named_stays_over() -> None:
 
 def test_a_closing_mission_goes_on_closing() -> None:
     sim = active()
-    standing = sim.gate.management.standing(worlds.mission().mid)
+    standing = sim.gate.management.standing(scenarios.mission().mid)
     assert standing is not None
     from msgspec.structs import replace
 
     from authguard_r.core.lifecycle import Status
 
-    closing = replace(standing, status=Status.CLOSING, closes_ms=worlds.START_MS + 600_000)
+    closing = replace(standing, status=Status.CLOSING, closes_ms=scenarios.START_MS + 600_000)
     sim.gate.ledger.run(lambda act: act.hold(closing))
     sim.gate.management.recover(unclean=True)
     assert [record["status"] for record in recoveries(sim)] == ["closing"]
-    assert sim.gate.management.standing(worlds.mission().mid) == closing
+    assert sim.gate.management.standing(scenarios.mission().mid) == closing
 
 
 def test_what_attested_state_settles_is_settled_and_the_mission_waits_all_the_same() -> None:
     """Cleanly stopped, `done_when` would let it go on at once; uncleanly a person has a look."""
-    sim = worlds.simulation(start=worlds.world("pharmacy", holding="package-p1"))
-    standing = sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(start=scenarios.world("pharmacy", holding="package-p1"))
+    standing = sim.gate.management.activate(scenarios.token())
     from msgspec.structs import replace
 
     from authguard_r.core.identifiers import Digest, GrantId

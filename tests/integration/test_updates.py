@@ -15,7 +15,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.compile.answers import apply, compile_plain
@@ -32,6 +31,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.ledger import Act
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.sqlite import read_rows
+from fixtures import scenarios
 
 SET = msgspec.structs.replace
 #: How the worker that dies in the middle ends.
@@ -68,8 +68,8 @@ def homeward(**edits: Any) -> Mission:
             }
         ],
     }
-    draft = apply(worlds.draft(), {**base, **edits})
-    return compile_plain(draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
+    draft = apply(scenarios.draft(), {**base, **edits})
+    return compile_plain(draft, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
 
 
 def guarded(before: Mission) -> Mission:
@@ -79,7 +79,7 @@ def guarded(before: Mission) -> Mission:
 
 
 #: One string of bytes, whoever replays it.
-CAPTURED = encode_fast(worlds.navigate("pharmacy", "dock", speed=800))
+CAPTURED = encode_fast(scenarios.navigate("pharmacy", "dock", speed=800))
 
 
 def captured() -> Action:
@@ -89,7 +89,7 @@ def captured() -> Action:
 def battery(sim: Any, reading: Reading | None) -> None:
     """Let the estimator attest this reading of the battery from now on, or none at all."""
     robot, count = sim.robot, [1_000]
-    estimator = worlds.folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
+    estimator = scenarios.folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
 
     def latest() -> bytes:
         count[0] += 1
@@ -117,7 +117,7 @@ STATES = {
 
 
 def at_pharmacy() -> Any:
-    return worlds.simulation(start=worlds.world("pharmacy"))
+    return scenarios.simulation(start=scenarios.world("pharmacy"))
 
 
 def reasons(report: Any) -> list[str]:
@@ -126,10 +126,10 @@ def reasons(report: Any) -> list[str]:
 
 def test_the_unguarded_return_is_found_before_it_is_signed_and_the_guarded_one_is_not() -> None:
     first = homeward()
-    assert errors(lint(first, worlds.site())) == (Code.UNGUARDED_RETURN,)
+    assert errors(lint(first, scenarios.site())) == (Code.UNGUARDED_RETURN,)
     second = guarded(first)
-    assert errors(lint(second, worlds.site())) == ()
-    changes = compare(first, second, worlds.site())
+    assert errors(lint(second, scenarios.site())) == ()
+    changes = compare(first, second, scenarios.site())
     assert not [line for line in changes if line.startswith("ADDS")]
     (guard,) = [line for line in changes if line.startswith("removes")]
     assert "only while battery_permille is at most 20 %" in guard
@@ -139,9 +139,9 @@ def test_the_unguarded_return_is_found_before_it_is_signed_and_the_guarded_one_i
 def test_signed_anyway_the_unguarded_return_accepts_the_captured_action(state: str) -> None:
     """The gate is faithful to what was signed: no state of the battery is asked about."""
     sim = at_pharmacy()
-    sim.gate.management.activate(worlds.token(homeward()))
+    sim.gate.management.activate(scenarios.token(homeward()))
     battery(sim, STATES[state][0])
-    report = worlds.propose(sim, captured())
+    report = scenarios.propose(sim, captured())
     assert report.outcome is Outcome.SUCCEEDED
     assert sim.robot.state.region == "dock"
 
@@ -149,11 +149,11 @@ def test_signed_anyway_the_unguarded_return_accepts_the_captured_action(state: s
 @pytest.mark.parametrize("state", STATES)
 def test_under_the_guard_the_same_bytes_are_refused(state: str) -> None:
     sim, first = at_pharmacy(), homeward()
-    sim.gate.management.activate(worlds.token(first))
-    sim.gate.management.activate(worlds.token(guarded(first)))
+    sim.gate.management.activate(scenarios.token(first))
+    sim.gate.management.activate(scenarios.token(guarded(first)))
     reading, reason = STATES[state]
     battery(sim, reading)
-    report = worlds.propose(sim, captured())
+    report = scenarios.propose(sim, captured())
     assert reasons(report) == [reason]
     assert encode_fast(SET(report.judged.action, meta=None, provenance={})) == CAPTURED
     assert report.outcome is None
@@ -164,10 +164,10 @@ def test_under_the_guard_the_same_bytes_are_refused(state: str) -> None:
 @pytest.mark.parametrize("value", [200, 0])
 def test_under_the_guard_an_attested_low_battery_goes_home(value: int) -> None:
     sim, first = at_pharmacy(), homeward()
-    sim.gate.management.activate(worlds.token(first))
-    sim.gate.management.activate(worlds.token(guarded(first)))
+    sim.gate.management.activate(scenarios.token(first))
+    sim.gate.management.activate(scenarios.token(guarded(first)))
     battery(sim, read(value))
-    assert worlds.propose(sim, captured()).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, captured()).outcome is Outcome.SUCCEEDED
 
 
 # the paper's pair: unsigned change refused, the same change signed accepted
@@ -175,8 +175,8 @@ def test_under_the_guard_an_attested_low_battery_goes_home(value: int) -> None:
 
 def collected(**kwargs: Any) -> Any:
     """Return a gate whose robot holds the package in the pharmacy, mission version 1 active."""
-    sim = worlds.simulation(**kwargs)
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(**kwargs)
+    sim.gate.management.activate(scenarios.token())
     pick = Action(
         type="pick",
         tool="gripper",
@@ -184,33 +184,37 @@ def collected(**kwargs: Any) -> Any:
         source="pharmacy",
         params={"force_mn": 9_000},
     )
-    assert worlds.propose(sim, worlds.navigate("dock", "pharmacy")).outcome is Outcome.SUCCEEDED
-    assert worlds.propose(sim, pick).outcome is Outcome.SUCCEEDED
+    assert (
+        scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome is Outcome.SUCCEEDED
+    )
+    assert scenarios.propose(sim, pick).outcome is Outcome.SUCCEEDED
     return sim
 
 
 def second() -> Mission:
-    return worlds.mission("mission-v2.yaml", supersedes=digest_of(Tag.MISSION, worlds.mission()))
+    return scenarios.mission(
+        "mission-v2.yaml", supersedes=digest_of(Tag.MISSION, scenarios.mission())
+    )
 
 
 def test_an_unsigned_change_is_refused_and_the_same_change_signed_is_accepted() -> None:
     sim = collected()
-    diverted = worlds.navigate("pharmacy", "station-103")
-    assert reasons(worlds.propose(sim, diverted))[0] == "DESTINATION_OUT_OF_SCOPE"
-    forged = worlds.token(second()).replace(b'"signature":"', b'"signature":"A', 1)
+    diverted = scenarios.navigate("pharmacy", "station-103")
+    assert reasons(scenarios.propose(sim, diverted))[0] == "DESTINATION_OUT_OF_SCOPE"
+    forged = scenarios.token(second()).replace(b'"signature":"', b'"signature":"A', 1)
     for unsigned in (forged, encode_fast(second())):
         with pytest.raises(AuthGuardError):
             sim.gate.management.activate(unsigned)
-    assert reasons(worlds.propose(sim, diverted))[0] == "DESTINATION_OUT_OF_SCOPE"
-    sim.gate.management.activate(worlds.token(second()))
-    assert worlds.propose(sim, diverted).outcome is Outcome.SUCCEEDED
+    assert reasons(scenarios.propose(sim, diverted))[0] == "DESTINATION_OUT_OF_SCOPE"
+    sim.gate.management.activate(scenarios.token(second()))
+    assert scenarios.propose(sim, diverted).outcome is Outcome.SUCCEEDED
     assert sim.robot.state.region == "station-103"
 
 
 def test_the_old_destination_is_refused_once_the_change_is_signed() -> None:
     sim = collected()
-    sim.gate.management.activate(worlds.token(second()))
-    refused = worlds.propose(sim, worlds.navigate("pharmacy", "station-101"))
+    sim.gate.management.activate(scenarios.token(second()))
+    refused = scenarios.propose(sim, scenarios.navigate("pharmacy", "station-101"))
     assert reasons(refused)[0] == "DESTINATION_OUT_OF_SCOPE"
 
 
@@ -220,12 +224,12 @@ def management(rows: Any) -> list[dict[str, Any]]:
 
 
 def test_an_update_is_logged_as_a_relation_between_two_digests() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
-    sim.gate.management.activate(worlds.token(second()))
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    sim.gate.management.activate(scenarios.token(second()))
     first, update = management(sim.gate.ledger.store.rows())
     assert first["supersedes"] == "-"
-    assert update["supersedes"] == first["mission"] == digest_of(Tag.MISSION, worlds.mission())
+    assert update["supersedes"] == first["mission"] == digest_of(Tag.MISSION, scenarios.mission())
     assert (update["mission"], update["version"]) == (digest_of(Tag.MISSION, second()), 2)
 
 
@@ -239,8 +243,8 @@ STEPS = ("keep_token", "hold", "make_active", "record")
 def test_an_update_that_fails_in_the_middle_leaves_the_old_version_whole(
     tmp_path: Path, step: str, when: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sim = worlds.simulation(store=tmp_path / "robot.db")
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(store=tmp_path / "robot.db")
+    sim.gate.management.activate(scenarios.token())
     before = sim.gate.management.standing("deliver-p1")
     carried_out = getattr(Act, step)
 
@@ -252,11 +256,13 @@ def test_an_update_that_fails_in_the_middle_leaves_the_old_version_whole(
     with monkeypatch.context() as patch:
         patch.setattr(Act, step, fails)
         with pytest.raises(StoreError):
-            sim.gate.management.activate(worlds.token(second()))
+            sim.gate.management.activate(scenarios.token(second()))
     assert sim.gate.management.standing("deliver-p1") == before
     assert sim.gate.ledger.run(lambda act: act.token(digest_of(Tag.MISSION, second()))) is None
-    assert worlds.propose(sim, worlds.navigate("dock", "pharmacy")).outcome is Outcome.SUCCEEDED
-    assert sim.gate.management.activate(worlds.token(second())).version == 2
+    assert (
+        scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome is Outcome.SUCCEEDED
+    )
+    assert sim.gate.management.activate(scenarios.token(second())).version == 2
     sim.gate.close()
     rows = read_rows(tmp_path / "robot.db")
     assert [record["version"] for record in management(rows)] == [1, 2]
@@ -268,19 +274,19 @@ def test_a_process_killed_in_the_middle_of_an_update_leaves_one_version_whole(
     tmp_path: Path, step: str
 ) -> None:
     store = tmp_path / "robot.db"
-    sim = worlds.simulation(store=store)
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(store=store)
+    sim.gate.management.activate(scenarios.token())
     sim.gate.close()
     token = tmp_path / "v2.token"
-    token.write_bytes(worlds.token(second()))
+    token.write_bytes(scenarios.token(second()))
     worker = [sys.executable, str(Path(__file__).with_name("update_worker.py"))]
-    inputs = [str(worlds.trust_folder()), str(store), str(token), str(worlds.START_MS), step]
-    environment = {**os.environ, "PYTHONPATH": str(worlds.ROOT / "tests")}
+    inputs = [str(scenarios.trust_folder()), str(store), str(token), str(scenarios.START_MS), step]
+    environment = {**os.environ, "PYTHONPATH": str(scenarios.ROOT / "tests")}
     done = subprocess.run([*worker, *inputs], env=environment, check=False, timeout=60)
     assert done.returncode == DEAD
-    again = worlds.simulation(store=store)
+    again = scenarios.simulation(store=store)
     standing = again.gate.management.standing("deliver-p1")
-    whole = worlds.mission() if step != "afterwards" else second()
+    whole = scenarios.mission() if step != "afterwards" else second()
     assert (standing.version, standing.digest) == (whole.version, digest_of(Tag.MISSION, whole))
     assert again.gate.ledger.run(lambda act: act.active()) == "deliver-p1"
     again.gate.close()

@@ -17,7 +17,7 @@ import pytest
 
 from authguard_r.audit.pieces import ALONE
 from authguard_r.cli.exported import row_line
-from logs import edited, log_of
+from fixtures.small_logs import edited, log_of
 
 #: Records of a log that is long enough for others to help.
 SIZE = ALONE + 6_000
@@ -81,6 +81,7 @@ def test_a_long_log_is_told_alike_by_one_process_and_by_several(
     assert answers[0][1]["where"] == f"record {SIZE - 1}"
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_whoever_helps_ends_with_the_command(
     exports: tuple[Path, Path], stop: signal.Signals, code: int

@@ -19,7 +19,7 @@ import pytest
 from authguard_r.audit.note import read_key
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.witness.state import read_folder, read_log
-from witnessing import (
+from fixtures.witness_process import (
     ORIGIN,
     SOON_S,
     Log,
@@ -55,6 +55,7 @@ def known(folder: Path) -> int:
     return read_log(read_folder(folder).logs[ORIGIN]).size
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("algorithm", [Algorithm.ED25519, Algorithm.ML_DSA_44])
 @pytest.mark.parametrize("hybrid", [False, True])
 def test_a_log_and_its_witness_over_http(

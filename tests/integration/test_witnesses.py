@@ -14,17 +14,17 @@ from urllib.parse import urlsplit
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.audit.note import NoteKey
 from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.wire.messages import ClientRole
-from gates import AUTHGUARD, PATIENCE_S, RunningGate, order, until
+from fixtures import scenarios
+from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, order, until
+from fixtures.small_witness import ORIGIN, SmallWitness, log_keys
 from integration.test_gate_watching import operator
 from integration.test_rollback import SCAN, CountedGate, active, resumed
-from witnesses import ORIGIN, SmallWitness, log_keys
 
 
 class WitnessedGate(CountedGate):
@@ -202,7 +202,7 @@ class Program:
 
     def does(self, *words: object) -> dict[str, Any]:
         said = [str(AUTHGUARD), "witness", *map(str, words), "--json"]
-        done = subprocess.run(said, capture_output=True, check=True, cwd=worlds.ROOT)
+        done = subprocess.run(said, capture_output=True, check=True, cwd=scenarios.ROOT)
         told: dict[str, Any] = json.loads(done.stdout)
         return told
 
@@ -223,7 +223,7 @@ class Program:
         said = [str(AUTHGUARD), "witness", "serve", str(self._folder), "--json"]
         said += ["--listen", f"127.0.0.1:{port}"]
         self._serving = subprocess.Popen(
-            said, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=worlds.ROOT
+            said, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=scenarios.ROOT
         )
         assert self._serving.stdout is not None
         told = json.loads(self._serving.stdout.readline())

@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from authguard_r.core.state import Snapshot
 from authguard_r.wire.frames import read_body
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
 from integration.scripted_gate import Sensors
 
 

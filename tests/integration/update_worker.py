@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import worlds
 from authguard_r.assembly import simulate
 from authguard_r.ledger import Act
+from fixtures import scenarios
 
 DEAD = 9
 
@@ -22,9 +22,9 @@ DEAD = 9
 def main(folder: str, store: str, token: str, start_ms: str, step: str) -> None:
     simulation = simulate(
         Path(folder),
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
         start_ms=int(start_ms),
         store=Path(store),
     )

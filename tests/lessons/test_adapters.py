@@ -17,13 +17,15 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.http.operations import operations_of
-from gates import RunningGate, until
-from served import EVALUATION, GRANTED, serving
+from fixtures import scenarios
+from fixtures.decision_point import EVALUATION, GRANTED, serving
+from fixtures.gate_process import RunningGate, until
 
-SRC = worlds.ROOT / "src" / "authguard_r"
-TESTS = worlds.ROOT / "tests"
+pytestmark = pytest.mark.smoke
+
+SRC = scenarios.ROOT / "src" / "authguard_r"
+TESTS = scenarios.ROOT / "tests"
 ADAPTERS = ("mcp", "http", "adapters", "tools")
 #: Where each adapter is held against everything that it can be asked.
 PROOFS = {

@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-import worlds
-from auditing import QUORUM, Genuine, genuine
 from authguard_r.assembly import Simulation
 from authguard_r.audit.record import Record, read_record
 from authguard_r.audit.verify import Row, verify_rows
@@ -25,7 +23,9 @@ from authguard_r.normalize import normalize
 from authguard_r.safety.envelope import EnvelopeGate
 from authguard_r.sim.robot import Faults
 from authguard_r.store.sqlite import open_store, read_rows
-from logs import edited, rechained
+from fixtures import scenarios
+from fixtures.audit_game import QUORUM, Genuine, genuine
+from fixtures.small_logs import edited, rechained
 
 #: Threads that stop the robot at once, and how often each.
 THREADS, STOPS = 8, 25
@@ -103,9 +103,9 @@ PATHS: dict[str, tuple[str, str]] = {
 def take(path: str, monkeypatch: pytest.MonkeyPatch) -> Simulation:
     """Return a gate on which this has just gone wrong."""
     fails = Faults(controller_refuses=path == "a robot that does not begin")
-    sim = worlds.simulation(faults=fails)
+    sim = scenarios.simulation(faults=fails)
     if path != "an action of no mission":
-        sim.gate.management.activate(worlds.token())
+        sim.gate.management.activate(scenarios.token())
     if path == "a fault of the gate's own":
         monkeypatch.delattr(EnvelopeGate, "assess")
     if path == "a plan that cannot be read":
@@ -114,10 +114,10 @@ def take(path: str, monkeypatch: pytest.MonkeyPatch) -> Simulation:
         sim.gate.enforcer.refuse_plan(error.value, planner="planner")
     elif path.startswith("a mission"):
         with pytest.raises(AuthGuardError):
-            sim.gate.management.activate(b"{" if path.endswith("token") else worlds.token())
+            sim.gate.management.activate(b"{" if path.endswith("token") else scenarios.token())
     else:
         goal = "nowhere" if path == "an action outside of it" else "pharmacy"
-        worlds.propose(sim, worlds.navigate("dock", goal))
+        scenarios.propose(sim, scenarios.navigate("dock", goal))
     return sim
 
 
@@ -137,9 +137,9 @@ def test_l8_a_stop_that_does_not_count_any_more_is_recorded_like_the_others() ->
     A flood of them is counted, and the count recorded: unit/test_stopping.py. A lane on its own
     tells its stops later: lessons/test_running_gate.py.
     """
-    sim = worlds.simulation()
-    mission = worlds.mission()
-    sim.gate.management.activate(worlds.token(mission))
+    sim = scenarios.simulation()
+    mission = scenarios.mission()
+    sim.gate.management.activate(scenarios.token(mission))
     before, stops = len(records(sim)), mission.budgets.planner_stops + 3
     for _ in range(stops):
         sim.gate.enforcer.stop(by="planner", is_planner=True)
@@ -153,7 +153,7 @@ def records(sim: Simulation) -> list[Record]:
 
 
 def test_l8_records_that_are_written_at_once_make_one_chain(tmp_path: Path) -> None:
-    sim = worlds.simulation(store=tmp_path / "robot.db")
+    sim = scenarios.simulation(store=tmp_path / "robot.db")
 
     def stops(number: int) -> None:
         for _ in range(STOPS):

@@ -8,7 +8,6 @@ import json
 import msgspec
 import pytest
 
-import asking
 from authguard_r.approvals import open_approval
 from authguard_r.assembly import folder_signer
 from authguard_r.client.questions import shown, signed_answer
@@ -17,6 +16,7 @@ from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.quantities import Now
 from authguard_r.keys.trust import read_trust
 from authguard_r.shapes import Disclosure, told_json
+from fixtures import approvals
 from missionpair.bench import Bench, make_bench, propose
 
 WORDS = "zebra-quarantine-told-by-nurse"
@@ -30,26 +30,26 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 def test_l5_an_answer_is_somebodys_for_these_arguments_once_and_never_the_requesters(
     bench: Bench,
 ) -> None:
-    scene = asking.scene(bench, "isolation-room", roles=["operator", "supervisor"])
-    asking.outcome(scene)
-    asking.hand_in(bench, scene, "operator-1")  # the requester himself
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    token = asking.signed(bench, asking.approval(scene), "supervisor-1")
+    scene = approvals.scene(bench, "isolation-room", roles=["operator", "supervisor"])
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "operator-1")  # the requester himself
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    token = approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     scene.sim.gate.management.approve(token)
-    scene.plan = asking.plan("isolation-room", 0.5)  # other arguments
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
-    scene.plan = asking.plan("isolation-room", 0.8)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]  # the first question died
+    scene.plan = approvals.plan("isolation-room", 0.5)  # other arguments
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    scene.plan = approvals.plan("isolation-room", 0.8)
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]  # the first question died
     scene.sim.gate.management.approve(token)
-    assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert scene.sim.robot.state.region == "dock"
 
 
 def test_l5_an_approvers_words_reach_the_log_and_no_planner(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    denied = asking.approval(scene, verdict=Verdict.DENY)
-    scene.sim.gate.management.approve(asking.signed(bench, denied, "supervisor-1"), why=WORDS)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    denied = approvals.approval(scene, verdict=Verdict.DENY)
+    scene.sim.gate.management.approve(approvals.signed(bench, denied, "supervisor-1"), why=WORDS)
     report = propose(scene)[-1]
     for level in Disclosure:
         assert WORDS not in json.dumps(msgspec.to_builtins(told_json(report, level)))
@@ -59,23 +59,23 @@ def test_l5_an_approvers_words_reach_the_log_and_no_planner(bench: Bench) -> Non
 
 
 def test_l5_a_timeout_is_no_denial(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
     scene.sim.robot.pause(121_000)
-    assert asking.outcome(scene) == ["APPROVAL_TIMEOUT"]
+    assert approvals.outcome(scene) == ["APPROVAL_TIMEOUT"]
 
 
 def test_l6_one_question_however_often_it_is_proposed(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
+    scene = approvals.scene(bench, "isolation-room")
     for _ in range(50):
-        assert asking.outcome(scene) == ["APPROVAL_REQUIRED"]
+        assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert scene.standing().prompts == 1  # type: ignore[union-attr]
 
 
 def test_l20_what_is_shown_is_what_is_signed(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
-    asking.outcome(scene)
-    (question,) = asking.questions(scene).told(None).requests
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    (question,) = approvals.questions(scene).told(None).requests
     signer = folder_signer(bench.folder, "supervisor-1")
     order = signed_answer(question, Verdict.APPROVE, signer)
     now = Now(bench.start_ms, 0)

@@ -19,7 +19,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client import GateClient
 from authguard_r.commands import Command, Verb
@@ -32,12 +31,15 @@ from authguard_r.enforcement import Enforcer
 from authguard_r.gate.config import Peer
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.messages import MAY, Attest, ClientRole, Kind, Propose
-from gates import Line, RunningGate, until
+from fixtures import scenarios
+from fixtures.gate_process import Line, RunningGate, until
 
-SRC = worlds.ROOT / "src"
+pytestmark = pytest.mark.smoke
+
+SRC = scenarios.ROOT / "src"
 SCAN = b"scan()"
 #: A way that the mission grants; refused as a what-if or as nonsense, carried out as a proposal.
-GO = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+GO = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 NOBODY = b64(bytes(32))
 
 #: A request of every kind that may come, but for `PROPOSE`.
@@ -130,7 +132,7 @@ def test_l1_every_kind_of_request_but_a_proposal_begins_nothing_and_a_proposal_t
     assert {*ASKED, Kind.PROPOSE} == {k for r, m in MAY.items() if r != "gate" for k in m}
     with RunningGate() as gate:
         gate.activate(gate.token(gate.mission(guards=[], place_max_age="10 min")))
-        seen = snapshot_of(worlds.world(), robot=worlds.RID, epoch=1, seq=1)
+        seen = snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=1, seq=1)
         state = sign_object(seen, Tag.STATE, folder_signer(gate.trust, "estimator-courier-1"))
         lines = {role: Line(gate.socket).hello(role) for role in MAY if role is not ClientRole.GATE}
         robot, planner = lines[ClientRole.CONTROLLER], lines[ClientRole.PLANNER]
@@ -162,8 +164,8 @@ def test_l1_one_place_dispatches_and_one_forwards_what_it_checked() -> None:
 
 def test_l1_every_verb_of_the_enforcer_that_begins_a_motion_goes_down_the_road() -> None:
     assert {name for name in vars(Enforcer) if not name.startswith("_")} == set(VERBS)
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     enforcer = sim.gate.enforcer
     enforcer.stop(by="anybody", is_planner=False)
     enforcer.stopped(by="anybody", is_planner=True, why="go to the pharmacy")
@@ -171,9 +173,9 @@ def test_l1_every_verb_of_the_enforcer_that_begins_a_motion_goes_down_the_road()
     assert enforcer.settle_stops() is True
     enforcer.refuse_plan(MalformedError("no plan"), planner="planner", inputs={"plan": "scan()"})
     assert sim.robot.trace == []
-    assert worlds.propose(sim, worlds.navigate("dock", "office-1")).outcome is None
+    assert scenarios.propose(sim, scenarios.navigate("dock", "office-1")).outcome is None
     assert sim.robot.trace == []  # refused
-    report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.judged is not None
     assert report.judged.released
     assert len(sim.robot.trace) == 1
@@ -235,7 +237,7 @@ def test_l14_what_came_once_does_not_come_again_after_a_crash() -> None:
         with gate.client(ClientRole.PLANNER, "llm") as planner:
             first = planner.propose(SCAN, key="once")
         with gate.client(ClientRole.ESTIMATOR, "again") as state:
-            seen = snapshot_of(worlds.world(), robot=worlds.RID, epoch=1, seq=1)
+            seen = snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=1, seq=1)
             signer = folder_signer(gate.trust, "estimator-courier-1")
             old = sign_object(seen, Tag.STATE, signer)
             with pytest.raises(AuthGuardError, match="STATE_REPLAYED"):
@@ -245,7 +247,7 @@ def test_l14_what_came_once_does_not_come_again_after_a_crash() -> None:
             mid=mission.mid,
             version=mission.version,
             mission=Digest(digest),
-            nonce=b64(worlds.random_bytes(16)),
+            nonce=b64(scenarios.random_bytes(16)),
             expires_ms=time.time_ns() // 1_000_000 + 600_000,
         )
         order = sign_object(resume, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))

@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 
 from authguard_r.core.decision import Verdict
 from authguard_r.core.reasons import PROTECTED
-from cases import (
+from fixtures.amount import amount
+from fixtures.decision_bounds import BOUNDS
+from fixtures.decision_cases import (
     ALONE,
     Case,
     accepted_case,
@@ -26,10 +28,12 @@ from cases import (
     organized,
 )
 
-#: Cases of each kind; together at least 20,000, at least 30 % of them accepted.
-ACCEPTED, BROKEN, EACH = 8_000, 7_000, 150
+#: Cases of each kind; at least 30 % of them accepted, in the complete run at least 20,000.
+ACCEPTED, BROKEN, EACH = amount(900, 8_000), amount(1_000, 7_000), amount(20, 150)
+#: Cases exactly at each bound, and as many on either side of it.
+AT_BOUND = amount(6, 60)
 #: Cases with policies of the organization and approvals of groups.
-ORGANIZED = 1_000
+ORGANIZED = amount(200, 1_000)
 RELAXED = settings(
     deadline=None,
     database=None,
@@ -56,7 +60,7 @@ def agree(case: Case) -> tuple[str, list[str]]:
 
 def test_the_case_counts_add_up_to_what_is_claimed() -> None:
     total = ACCEPTED + BROKEN + EACH * len(ALONE)
-    assert total >= 20_000
+    assert total >= amount(2_500, 20_000)
     assert ACCEPTED / total >= 0.30
 
 
@@ -92,7 +96,16 @@ def test_gate_and_oracle_agree_on_each_reason_alone(reason: str) -> None:
         alone += reasons == [reason]
 
     holds()
-    assert alone >= 100
+    assert alone >= EACH * 2 // 3
+
+
+@pytest.mark.parametrize("by", [-1, 0, 1])
+@pytest.mark.parametrize("name", BOUNDS)
+def test_a_value_at_its_bound_is_accepted_and_one_beyond_is_refused(name: str, by: int) -> None:
+    bound = BOUNDS[name]
+    for seed in range(AT_BOUND):
+        _, reasons = agree(bound.case(Random(seed), by))
+        assert reasons == bound.reasons(by), seed
 
 
 def test_gate_and_oracle_agree_on_whatever_is_broken() -> None:

@@ -14,9 +14,10 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.dialects import Call, Dialect, read_plan, read_reply
 from authguard_r.normalize.dialects.verbs import DRIVE_VERBS, STEP_VERBS
 from authguard_r.normalize.parse import read_text
+from fixtures.amount import amount
 from unit.normalize.writers import WAYS
 
-LAW = settings(max_examples=100, deadline=None)
+LAW = settings(max_examples=amount(25, 100), deadline=None)
 
 # -- what each dialect can say ---------------------------------------------------------------------
 

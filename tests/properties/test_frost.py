@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError
 from authguard_r.frost import signing
 from authguard_r.frost.messages import Commitment, Group, Offer, SignatureShare, read
-from frosts import dealt, finished, generated, holds, one_more, prepared, signature
+from fixtures.threshold_groups import (
+    dealt,
+    finished,
+    generated,
+    holds,
+    one_more,
+    prepared,
+    signature,
+)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invaria
 from authguard_r.gate.clients import MOST_SHED, MOST_WAITING, Client, Ring
 from authguard_r.wire.frames import Frame, raw_frame
 from authguard_r.wire.messages import BOUND, ClientRole, Kind
-from halls import Door, Noted, enter, settle
+from fixtures.gate_fixtures import Door, Noted, enter, settle
 
 #: What a planner may send beside proposals, and what an auditor may.
 _OTHERS = {"planner": Kind.OBSERVE, "auditor": Kind.STATUS}

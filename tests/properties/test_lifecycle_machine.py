@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 import authguard_reference as oracle
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.commands import Verb
 from authguard_r.core.action import Action
@@ -42,12 +41,13 @@ from authguard_reference.place import guard_finding
 from authguard_reference.policy import instant_ms
 from authguard_reference.risk import tier_of
 from authguard_reference.standing import STATUS_REFUSAL
-from cases import plain, plain_facts
+from fixtures import scenarios
+from fixtures.decision_cases import plain, plain_facts
+from fixtures.restarting_gate import Station, go, signer, way
 from missionpair.bench import Bench, Scene, make_bench
-from restarts import Station, go, signer, way
 
 Json = dict[str, Any]
-FACTS = plain_facts(worlds.facts())
+FACTS = plain_facts(scenarios.facts())
 FINAL = {"completed", "revoked", "expired", "superseded"}
 NAMES = ("one", "two")
 VERSIONS = (1, 2, 3)
@@ -67,7 +67,7 @@ ACTIONS: dict[str, Action] = {
 @cache
 def mission(name: str, version: int) -> Mission:
     """Return a version of a mission; the second wants more, the third allows less."""
-    draft = worlds.draft()
+    draft = scenarios.draft()
     drive = {**draft["grants"][0], "until": [], "chooser": "planner"}
     scan = next(grant for grant in draft["grants"] if grant["id"] == "look-out")
     seen = [{"variable": "battery_permille", "ge": 1, "max_age": "2 s"}]
@@ -97,7 +97,7 @@ def mission(name: str, version: int) -> Mission:
     }
     if version > 1:
         changes["supersedes"] = digest_of(Tag.MISSION, mission(name, version - 1))
-    return worlds.mission(**changes)
+    return scenarios.mission(**changes)
 
 
 @cache
@@ -163,7 +163,7 @@ class Model:
         if held is not None and held["status"] not in FINAL and self.active != name:
             raise Refused("TRANSITION_REFUSED")
         known = held if name == self.active else self.registry.get(name)
-        fresh: Json = {"mid": name, "version": version, "digest": digest, "rid": worlds.RID}
+        fresh: Json = {"mid": name, "version": version, "digest": digest, "rid": scenarios.RID}
         if known is None:
             if version != 1:
                 raise Refused("MISSION_UNKNOWN")
@@ -581,7 +581,7 @@ class Life(RuleBasedStateMachine):
             mid=standing["mid"],
             version=standing["version"],
             mission=standing["digest"],
-            rid=worlds.RID,
+            rid=scenarios.RID,
             grant=grant,
             scope=request["scope"],
             situation=request["situation"],
@@ -738,10 +738,8 @@ class _Long(Life):
     pass
 
 
-@pytest.mark.campaign
-def test_a_long_campaign_of_lives(request: pytest.FixtureRequest) -> None:
-    if "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("a long campaign: run it with `-m campaign`")
+@pytest.mark.nightly
+def test_a_long_campaign_of_lives() -> None:
     _Long.TestCase.settings = settings(
         QUICK, max_examples=3_000, stateful_step_count=80, derandomize=False
     )

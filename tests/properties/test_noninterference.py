@@ -34,7 +34,6 @@ from hypothesis.stateful import (
 )
 
 import authguard_reference as oracle
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.commands import Command, Verb
@@ -48,11 +47,13 @@ from authguard_r.keys.setup import init_folder
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import CHANNELS, ContextLedger
 from authguard_r.sim.robot import snapshot_of
-from cases import plain, plain_facts
+from fixtures import scenarios
+from fixtures.amount import amount
+from fixtures.decision_cases import plain, plain_facts
 
-GAMES, MOVES = 100, 30
-FACTS = plain_facts(worlds.facts())
-PLACES = sorted(worlds.site().regions)
+GAMES, MOVES = amount(30, 100), 30
+FACTS = plain_facts(scenarios.facts())
+PLACES = sorted(scenarios.site().regions)
 GOALS = ("pharmacy", "station-103")
 #: Who signs in the adversary's name: authentic keys without the right, and keys of a foreign root.
 WRONG = ("supervisor-1", "operator-2", "estimator-courier-1", "gate-courier-1", "witness-1")
@@ -94,13 +95,13 @@ TASK = [
 
 def story() -> Mission:
     """Return the hospital's mission with two goals of which the operator chooses one."""
-    grants = worlds.draft()["grants"]
+    grants = scenarios.draft()["grants"]
     rows = [
         {"source": "dock", "destination": goal, "regions": ["dock", goal, "public-corridor"]}
         for goal in GOALS
     ]
     first = {**grants[0], "rows": rows, "chooser": "operator"}
-    return worlds.mission(grants=[first, *grants[1:]])
+    return scenarios.mission(grants=[first, *grants[1:]])
 
 
 SIGNED = story()
@@ -111,8 +112,8 @@ DIGEST = digest_of(Tag.MISSION, SIGNED)
 def foreign() -> Path:
     """A whole set-up of keys with the very same names, under a root that nobody here trusts."""
     folder = Path(mkdtemp(prefix="authguard-foreign-")) / "trust"
-    members = demo_members(worlds.site(), (worlds.RID,))
-    init_folder(folder, members, now=datetime.fromtimestamp(worlds.START_MS / 1000, UTC))
+    members = demo_members(scenarios.site(), (scenarios.RID,))
+    init_folder(folder, members, now=datetime.fromtimestamp(scenarios.START_MS / 1000, UTC))
     return folder
 
 
@@ -147,7 +148,7 @@ def written(calls: list[tuple[str, dict[str, Any]]], form: str) -> bytes:
 
 def objects(kind: str) -> tuple[Tag, Any]:
     """Return what the adversary would have signed, by the door that it is brought to."""
-    far = worlds.START_MS + 10**8
+    far = scenarios.START_MS + 10**8
     version = {"mid": SIGNED.mid, "version": 1, "mission": DIGEST}
     if kind == "activate":
         return Tag.MISSION, widened()
@@ -156,7 +157,7 @@ def objects(kind: str) -> tuple[Tag, Any]:
         return Tag.SELECTION, made
     if kind == "approve":
         made = Approval(
-            rid=worlds.RID,
+            rid=scenarios.RID,
             grant="go-to-pharmacy",
             scope=DIGEST,
             situation=DIGEST,
@@ -185,7 +186,7 @@ DOORS = {
 def forged(door: str) -> tuple[bytes, ...]:
     """Return one order, signed by everybody who may not give it."""
     tag, value = objects(door)
-    ours = [folder_signer(worlds.trust_folder(), name) for name in DOORS[door]]
+    ours = [folder_signer(scenarios.trust_folder(), name) for name in DOORS[door]]
     alien = [folder_signer(foreign(), name) for name in ("operator-1", "supervisor-1")]
     return tuple(sign_object(value, tag, signer) for signer in (*ours, *alien))
 
@@ -195,8 +196,8 @@ class Adversary(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.sim = worlds.simulation()
-        self.token = worlds.token(SIGNED)
+        self.sim = scenarios.simulation()
+        self.token = scenarios.token(SIGNED)
         self.sim.gate.management.activate(self.token)
         self.context = ContextLedger(self.sim.binder.spellings())
         self.selected: dict[str, int] = {}
@@ -210,7 +211,7 @@ class Adversary(RuleBasedStateMachine):
         if chosen:
             tag, value = objects("select")
             value = msgspec.structs.replace(value, row=0, nonce="ABAB")
-            signer = folder_signer(worlds.trust_folder(), "operator-1")
+            signer = folder_signer(scenarios.trust_folder(), "operator-1")
             self.sim.gate.management.select(sign_object(value, tag, signer))
             self.selected = {"go-to-pharmacy": 0}
 
@@ -296,7 +297,7 @@ class Adversary(RuleBasedStateMachine):
     @rule(door=st.sampled_from(sorted(DOORS)), place=st.integers(0, 10**6), bit=st.integers(0, 7))
     def an_authentic_order_is_altered(self, door: str, place: int, bit: int) -> None:
         tag, value = objects(door)
-        signer = folder_signer(worlds.trust_folder(), "operator-1")
+        signer = folder_signer(scenarios.trust_folder(), "operator-1")
         data = bytearray(sign_object(value, tag, signer).strip())
         data[place % len(data)] ^= 1 << bit
         with catch_warnings():  # of the library, about a serial number that the bit made negative
@@ -333,7 +334,7 @@ class Adversary(RuleBasedStateMachine):
     def the_planner_stops_the_robot(self) -> None:
         before = self.standing()
         self.sim.gate.enforcer.stop(by="planner", is_planner=True)
-        most = worlds.mission().budgets.planner_stops + 1  # the one that raises the alert
+        most = scenarios.mission().budgets.planner_stops + 1  # the one that raises the alert
         now = min(before.planner_stops + 1, most)
         counted = msgspec.structs.replace(before, planner_stops=now)
         assert self.standing() == counted
@@ -343,13 +344,13 @@ class Adversary(RuleBasedStateMachine):
         by=st.sampled_from(["operator-1", "supervisor-1", "gate-courier-1", "", "alien"]),
     )
     def a_forged_snapshot_arrives(self, place: str, by: str) -> None:
-        snapshot = snapshot_of(worlds.world(place), robot=worlds.RID, epoch=10**6, seq=1)
+        snapshot = snapshot_of(scenarios.world(place), robot=scenarios.RID, epoch=10**6, seq=1)
         data = encode(snapshot)
         if by == "alien":
             signer = folder_signer(foreign(), "estimator-courier-1")
             data = sign_object(snapshot, Tag.STATE, signer)
         elif by:
-            data = sign_object(snapshot, Tag.STATE, folder_signer(worlds.trust_folder(), by))
+            data = sign_object(snapshot, Tag.STATE, folder_signer(scenarios.trust_folder(), by))
         intake, before = self.sim.gate.enforcer.intake, self.sim.gate.enforcer.intake.state
         latest, self.sim.robot.latest = self.sim.robot.latest, lambda: data
         try:
@@ -413,7 +414,7 @@ def test_the_machine_can_lose_a_signed_update_does_change_the_policy() -> None:
     for door in ("activate", "select", "suspend", "complete"):
         machine = game()
         tag, value = objects(door)
-        signed = sign_object(value, tag, folder_signer(worlds.trust_folder(), "operator-1"))
+        signed = sign_object(value, tag, folder_signer(scenarios.trust_folder(), "operator-1"))
         with pytest.raises(AssertionError, match="was taken in"):
             machine.bring(door, signed)
         lost = 0

@@ -14,7 +14,6 @@ from hypothesis import settings
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 from hypothesis.strategies import sampled_from
 
-import worlds
 from authguard_r.anchoring.anchor import Anchor, read_counter
 from authguard_r.assembly import folder_signer, folder_trust
 from authguard_r.audit.record import Entry
@@ -22,6 +21,7 @@ from authguard_r.core.errors import EnvironmentFault, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.ledger import Act, Ledger
 from authguard_r.store.memory import MemoryStore
+from fixtures import scenarios
 
 
 class Died(BaseException):
@@ -53,7 +53,7 @@ class Clock:
     """Time that passes with every look."""
 
     def __init__(self) -> None:
-        self._ms = worlds.START_MS
+        self._ms = scenarios.START_MS
 
     def wall_ms(self) -> int:
         self._ms += 1
@@ -81,8 +81,8 @@ class Rollbacks(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.clock, self.outside = Clock(), Outside()
-        self.trust = folder_trust(worlds.trust_folder())
-        self.signer = folder_signer(worlds.trust_folder(), "gate-courier-1")
+        self.trust = folder_trust(scenarios.trust_folder())
+        self.signer = folder_signer(scenarios.trust_folder(), "gate-courier-1")
         self.store = MemoryStore()
         #: the links of the log when the last note was kept; None before any
         self.counted: tuple[bytes, ...] | None = None
@@ -94,14 +94,14 @@ class Rollbacks(RuleBasedStateMachine):
         ledger = Ledger(
             self.store,
             self.clock,
-            robot=worlds.RID,
-            salts=worlds.random_bytes,
+            robot=scenarios.RID,
+            salts=scenarios.random_bytes,
             genesis={},
             inputs={"site": "here"},
             since_ms=reading.time_ms,
         )
         anchor = Anchor(
-            ledger, robot=worlds.RID, counter=self.outside, signer=self.signer, reading=reading
+            ledger, robot=scenarios.RID, counter=self.outside, signer=self.signer, reading=reading
         )
         self.ledger, self.anchor = ledger, anchor
         fits = self.counted is None or self.links()[: len(self.counted)] == self.counted
@@ -183,7 +183,7 @@ class Rollbacks(RuleBasedStateMachine):
         self.store = copied(snapshot)
         here = self.ledger
         self.ledger = Ledger(
-            self.store, self.clock, robot=worlds.RID, salts=worlds.random_bytes, genesis={}
+            self.store, self.clock, robot=scenarios.RID, salts=scenarios.random_bytes, genesis={}
         )
         for number in range(more):
             self.commit(number)

@@ -10,8 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import authguard_reference.templates as oracle
-import deliveries
-import worlds
 from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
@@ -27,7 +25,8 @@ from authguard_r.templates import (
     require_sound,
 )
 from authguard_r.templates.card import every_mission
-from deliveries import SET, edited, instance, template, token
+from fixtures import scenarios, templates
+from fixtures.templates import SET, edited, instance, template, token
 
 PLAIN = msgspec.json.decode(encode(template()))
 NAMES = st.sampled_from(
@@ -48,11 +47,11 @@ LENGTHS = st.sampled_from([-1, 0, 1, 1_499, 1_500, 1_501, 90_000])
 ISSUER = Principal(
     id="operator-1",
     role="operator",
-    scope=worlds.EVERYWHERE,
-    usable_until_ms=worlds.START_MS + 10**9,
+    scope=scenarios.EVERYWHERE,
+    usable_until_ms=scenarios.START_MS + 10**9,
 )
-TRUST = read_trust(deliveries.one_folder())
-HELD = VerifiedTemplate(template=template(), digest=deliveries.digest(), issuer=ISSUER)
+TRUST = read_trust(templates.one_folder())
+HELD = VerifiedTemplate(template=template(), digest=templates.digest(), issuer=ISSUER)
 
 
 def within(mission: Mission, card: tuple[Mission, ...]) -> bool:
@@ -68,13 +67,13 @@ def within(mission: Mission, card: tuple[Mission, ...]) -> bool:
 def test_an_instance_is_taken_exactly_when_the_signer_s_words_cover_it(
     fill: Any, mid: str, offset: int, length: int
 ) -> None:
-    start = worlds.START_MS + offset * 1_000
+    start = scenarios.START_MS + offset * 1_000
     window = {"not_before": to_timestamp(start), "expiry": to_timestamp(start + length * 1_000)}
     made = instance(fill=fill, mid=mid, **window)
     plain = msgspec.json.decode(encode_fast(made))
-    covered = oracle.covers(PLAIN, deliveries.digest(), plain, length * 1_000) and length >= 0
+    covered = oracle.covers(PLAIN, templates.digest(), plain, length * 1_000) and length >= 0
     try:
-        found = instantiate(token(made), HELD, verifier=TRUST, now=worlds.NOW)
+        found = instantiate(token(made), HELD, verifier=TRUST, now=scenarios.NOW)
     except AuthGuardError:
         assert not covered
         return
@@ -119,10 +118,10 @@ def test_wherever_a_hole_is_put_only_its_value_changes(path: tuple[Any, ...], na
     assert (len(shapes), len(policies)) == (1, 1)
 
 
-@given(st.binary(max_size=200) | st.sampled_from([token(), deliveries.signed(), worlds.token()]))
+@given(st.binary(max_size=200) | st.sampled_from([token(), templates.signed(), scenarios.token()]))
 def test_any_bytes_at_all_are_an_instance_or_a_refusal(data: bytes) -> None:
     try:
-        instantiate(data, HELD, verifier=TRUST, now=worlds.NOW)
+        instantiate(data, HELD, verifier=TRUST, now=scenarios.NOW)
     except AuthGuardError:
         return
     assert data == token()

@@ -3,183 +3,230 @@
 
 Theorem "Trace-level dual-gate soundness", corollaries "Plan-level non-escalation" and "Blocking
 safety-compliant mission hijacking", theorem "Completeness of the authorization gate", and the
-remark that the gates' order does not matter. The oracle judges every proposal, and keeps its own
-standing beside ours.
+remark that the gates' order does not matter. The traces run through the real enforcer; the oracle
+judges every step at the state and the time at which it ran, and keeps its own standing beside.
 """
 
 from __future__ import annotations
 
-from random import Random
+from collections import Counter
 from typing import Any
 
-import msgspec
 import pytest
 
 import authguard_reference as oracle
-import worlds
-from authguard_r.core.action import Action
-from authguard_r.core.checks.grant import spend_of
-from authguard_r.core.decide import decide
 from authguard_r.core.decision import Verdict
-from authguard_r.core.encoding import b64
-from authguard_r.core.mission import Mission
-from authguard_r.core.quantities import Now
-from authguard_r.core.standing import Outcome, Spend, Standing, reserve, settle
-from authguard_r.core.state import AttestedState, attest
-from authguard_r.core.token import VerifiedMission
-from authguard_r.safety import EnvelopeGate, default_config
+from authguard_r.safety import default_config
 from authguard_r.sim.robot import snapshot_of
-from authguard_r.sim.state import WorldState
-from authguard_r.sim.world import delta
-from cases import plain, plain_facts
+from fixtures import scenarios
+from fixtures.amount import amount
+from fixtures.decision_cases import plain, plain_facts
+from fixtures.traces import Look, Played, Trace, mission
 
-TRACES = 20_000
-BATCHES = 4
-FACTS = worlds.facts()
-FACTS_PLAIN = plain_facts(FACTS)
-SITE = worlds.site()
-GATE = EnvelopeGate(default_config(SITE, worlds.RID))
-
-
-def small_mission() -> Mission:
-    """The hospital's mission, without what a trace of a few steps cannot reach."""
-    base = worlds.mission()
-    kept = tuple(g for g in base.actions if g.id not in {"look-out", "go-home"})
-    return msgspec.structs.replace(base, actions=kept, closing=None)
-
-
-MISSION = small_mission()
-MISSION_PLAIN = plain(MISSION)
-VERIFIED: VerifiedMission = worlds.verified(MISSION)
-REGIONS = ["dock", "pharmacy", "public-corridor", "station-101", "station-103", "plant-room"]
-
-
-def random_action(rnd: Random, world: WorldState) -> Action:
-    """Propose something: often the next sensible thing, often not quite."""
-    kind = rnd.choice(["navigate", "navigate", "pick", "place", "wait", "record_video"])
-    source = world.region if rnd.random() < 0.9 else rnd.choice(REGIONS)
-    thing = rnd.choice(["package-p1", "package-p1", "package-p2"])
-    if kind == "navigate":
-        goal = rnd.choice(["pharmacy", "station-101", rnd.choice(REGIONS)])
-        speed = rnd.choice([50, 500, 800, 801, 1_500, 1_501])
-        return worlds.navigate(source, goal, speed=speed)
-    if kind in {"pick", "place"}:
-        force = rnd.choice([1_000, 12_000, 20_000, 20_001, 40_001])
-        goal = {"destination": source} if kind == "place" else {}
-        return Action(
-            type=kind,
-            tool="gripper",
-            object=thing,
-            source=source,
-            params={"force_mn": force},
-            **goal,
-        )
-    if kind == "wait":
-        return Action(type="wait", tool="base", params={"duration_ms": 1_000})
-    params = {"duration_ms": 1_000, "max_bytes": 1_000}
-    return Action(type=kind, tool="camera", source=source, params=params)
+Json = dict[str, Any]
+BATCHES = 2
+TRACES = amount(200, 2_000) // BATCHES
+ORDERED = amount(30, 300)
+FACTS = plain_facts(scenarios.facts())
+CONFIG = plain(default_config(scenarios.site(), scenarios.RID))
+VERIFIED = scenarios.verified(mission())
+MISSION, DIGEST = plain(mission()), VERIFIED.digest
+GRANTS = {grant["id"]: grant for grant in MISSION["actions"]}
+#: What every batch has to contain, so that no law holds because nothing happened.
+HAPPENS = (
+    *("succeeded", "failed", "aborted", "not_started"),
+    *("authorized, unsafe", "unauthorized, safe", "unauthorized, unsafe"),
+    *("aborted: BOUND_EXCEEDED", "aborted: OUTSIDE_REGIONS", "aborted: STATE_STALE"),
+    *("aborted: LEASE_ENDED", "aborted: GUARD_FALSE", "aborted: EXPIRED"),
+    *("aborted: MISSION_SUSPENDED", "complete", "expired", "SPEED", "FORCE", "KEEP_OUT"),
+)
 
 
-class Trace:
-    """One run of the two gates over a world, with the oracle beside it."""
+class Judge:
+    """The oracle beside one trace, with a standing of its own; every method asserts one law."""
 
-    def __init__(self, rnd: Random) -> None:
-        at, holding = rnd.choice([("dock", None), ("pharmacy", None), ("pharmacy", "package-p1")])
-        self.world = worlds.world(at, holding)
-        self.now = worlds.NOW
-        self.standing: Standing = worlds.active(VERIFIED)
-        if holding:
-            self.standing = self._as_if_picked()
-        self.theirs: Any = plain(self.standing)
-        self.executed: list[Action] = []
-        self.seq = 0
+    def __init__(self, seen: Counter[str]) -> None:
+        self.standing: Json = plain(scenarios.active(VERIFIED))
+        self.seen = seen
+        self.executed: list[list[str]] = []
 
-    def _as_if_picked(self) -> Standing:
-        grant = next(g for g in MISSION.actions if g.id == "pick-p1")
-        taken = reserve(
-            self.standing, grant, ticket=b64(bytes(32)), spend=Spend(), now=self.now, per_ms=1_000
-        )
-        return settle(
-            taken, MISSION, ticket=b64(bytes(32)), outcome=Outcome.SUCCEEDED, used=Spend()
-        )
+    def step(self, played: Played) -> None:
+        look = played.looks[-1 if played.executed is None else played.first]
+        reasons, dangers = self.judge(plain(played.proposal), look)
+        may = reasons == [] and dangers == []
+        self.require_both_gates(played, reasons, dangers)
+        if played.executed is not None:
+            self.require_the_very_action(played, look)
+            self.executed.append(reasons)
+        if may:
+            self.follow(played, look)
+        elif look.now["utc_ms"] > VERIFIED.expiry_ms:
+            self._becomes("expire")
+        assert _tidy(played.standing) == _tidy(self.standing)  # the registry counts the same
+        self.seen[self.standing["status"]] += 1
 
-    def state(self) -> AttestedState:
-        self.seq += 1
-        snapshot = snapshot_of(self.world, robot=worlds.RID, epoch=1, seq=self.seq)
-        return attest(snapshot, FACTS, arrived_mono_ms=self.now.mono_ms)
+    def judge(self, action: Json, look: Look) -> tuple[list[str], list[str]]:
+        """Return why an action would not be authorized, and why it would not be safe."""
+        decision = self.decide(action, look)
+        dangers = oracle.hazards(CONFIG, action, look.state, FACTS, look.now)
+        self.seen.update(dangers)
+        return decision["reasons"], dangers
 
-    def step(self, action: Action, after_ms: int, *, safety_first: bool) -> None:
-        """Decide one proposal both ways; execute it when both gates accept."""
-        self.now = Now(self.now.utc_ms + after_ms, self.now.mono_ms + after_ms)
-        state = self.state()
-        safe = GATE.assess(action, state, FACTS, self.now).safe if safety_first else None
-        decision = decide(
-            VERIFIED, action, state=state, facts=FACTS, now=self.now, standing=self.standing
-        )
-        if safe is None:
-            safe = GATE.assess(action, state, FACTS, self.now).safe
-        theirs = oracle.decide(
-            MISSION_PLAIN,
-            digest=VERIFIED.digest,
+    def decide(self, action: Json, look: Look) -> Json:
+        return oracle.decide(
+            MISSION,
+            digest=DIGEST,
             usable_until_ms=VERIFIED.issuer.usable_until_ms,
-            action=plain(action),
-            state={"snapshot": plain(state.snapshot), "arrived_mono_ms": state.arrived_mono_ms},
-            facts=FACTS_PLAIN,
-            now=plain(self.now),
-            standing=self.theirs,
+            action=action,
+            state=look.state,
+            facts=FACTS,
+            now=look.now,
+            standing=self.standing,
             approvals=[],
         )
-        # soundness one way, completeness the other
-        assert (decision.verdict is Verdict.ACCEPT) == (theirs["verdict"] == "accept")
-        if decision.verdict is Verdict.ACCEPT and safe:
-            self._execute(action, decision.match)
 
-    def _execute(self, action: Action, match: Any) -> None:
-        grant = match.indexed.grant
-        spend = spend_of(FACTS.vocabulary[action.type], grant, action.params)
-        ticket = b64(len(self.executed).to_bytes(32, "big"))
-        per_ms = MISSION.budgets.rate.per_ms
-        self.standing = reserve(
-            self.standing, grant, ticket=ticket, spend=spend, now=self.now, per_ms=per_ms
+    def require_both_gates(self, played: Played, reasons: list[str], dangers: list[str]) -> None:
+        """Released exactly when authorized and safe: sound, complete, and hijacking is blocked."""
+        authorized, safe = reasons == [], dangers == []
+        assert played.report is not None
+        judged = played.report.judged
+        if judged is not None:
+            assert (judged.decision.verdict is Verdict.ACCEPT) == authorized
+            assert [str(reason) for reason in judged.decision.reasons] == reasons
+        assert (judged is not None and judged.released) == (authorized and safe)
+        begun = played.executed is not None
+        if begun:  # eq:trace-auth, eq:trace-safe
+            assert authorized
+            assert safe
+        else:  # what both accept is begun, unless the controller refuses
+            assert not (authorized and safe) or played.report.outcome == "not_started"
+        assert oracle.scmh(begun, safe, authorized) == 0
+        if not (authorized and safe):
+            told = "authorized" if authorized else "unauthorized"
+            self.seen[f"{told}, {'safe' if safe else 'unsafe'}"] += 1
+
+    def require_the_very_action(self, played: Played, look: Look) -> None:
+        """The robot began what was proposed, at once, in the state that was attested."""
+        executed = played.executed
+        assert executed is not None
+        own = plain(executed.action)
+        assert {k: v for k, v in own.items() if k not in {"provenance", "meta"}} == plain(
+            played.proposal
         )
-        self.theirs = oracle.release(
-            self.theirs,
-            grant.id,
+        assert executed.utc_ms == look.now["utc_ms"]
+        if not played.sees:
+            return
+        world = plain(snapshot_of(executed.before, robot=scenarios.RID, epoch=1, seq=1))
+        assert look.state is not None
+        said = look.state["snapshot"]
+        assert (said["pose"], said["readings"]) == (world["pose"], world["readings"])
+        there = {"snapshot": world, "arrived_mono_ms": look.now["mono_ms"]}
+        assert self.judge(own, Look(look.now, there, ended=False, suspended=False)) == ([], [])
+
+    def follow(self, played: Played, look: Look) -> None:
+        """Release, hold the lease against every look while the robot moves, and settle."""
+        report, decision = played.report, self.decide(plain(played.proposal), look)
+        assert report is not None
+        assert report.judged is not None
+        grant = GRANTS[decision["grant"]]
+        row = grant["alternatives"][decision["row"]]
+        action, now, ticket = plain(played.proposal), look.now, report.judged.ticket
+        lease = oracle.permit(MISSION, DIGEST, grant, row, action, facts=FACTS, now=now)
+        self.standing = oracle.release(
+            self.standing,
+            grant["id"],
             ticket=ticket,
-            spend=plain(spend),
-            now=plain(self.now),
-            per_ms=per_ms,
+            spend=_most(grant, action),
+            now=now,
+            per_ms=MISSION["budgets"]["rate"]["per_ms"],
         )
-        after = delta(SITE, self.world, action)
-        outcome = Outcome.FAILED if after is None else Outcome.SUCCEEDED
-        self.world = self.world if after is None else after
-        self.standing = settle(
-            self.standing, MISSION, ticket=ticket, outcome=outcome, used=Spend(motion_ms=1)
+        self.require_the_lease(played, lease)
+        self.standing = oracle.settle(
+            self.standing, MISSION, ticket=ticket, outcome=str(report.outcome), used=played.used
         )
-        self.theirs = oracle.settle(
-            self.theirs, MISSION_PLAIN, ticket=ticket, outcome=str(outcome), used={"motion_ms": 1}
-        )
-        self.executed.append(action)
+        self.seen[str(report.outcome)] += 1
+        if self.standing["status"] == "active" and oracle.is_complete(self.standing, MISSION):
+            self._becomes("begin_closing")
+            ended = played.looks[-1].now["utc_ms"]
+            self.standing["closes_ms"] = ended + MISSION["closing"]["for_ms"]
+            self.seen["complete"] += 1
+
+    def require_the_lease(self, played: Played, lease: Json) -> None:
+        """A robot moves exactly while the oracle says that it may, and is stopped at once."""
+        report = played.report
+        assert report is not None
+        if played.lease is not None:
+            given = plain(played.lease)
+            assert {name: given[name] for name in lease} == lease
+        reasons = list(dict.fromkeys(str(finding.reason) for finding in report.reasons))
+        *earlier, last = played.looks[played.first :]
+        assert [self.still(lease, look) for look in earlier] == [[]] * len(earlier)
+        found = self.still(lease, last)
+        if report.outcome == "aborted":
+            assert found != []
+            assert reasons == found
+            self.seen.update(f"aborted: {reason}" for reason in found)
+        elif played.executed is not None:
+            assert last.ended or found == []
+            assert reasons == []
+
+    def still(self, lease: Json, look: Look) -> list[str]:
+        if look.suspended and self.standing["status"] == "active":
+            self._becomes("suspend")
+        return oracle.still(lease, look.state, facts=FACTS, now=look.now, standing=self.standing)
+
+    def _becomes(self, event: str) -> None:
+        status = self.standing["status"]
+        self.standing["status"] = oracle.TRANSITIONS[status].get(event, status)
+
+
+def _tidy(value: Any) -> Any:
+    """Return plain data without what is zero or empty, which has two spellings."""
+    if isinstance(value, list):
+        return [_tidy(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    tidied = {name: _tidy(item) for name, item in value.items()}
+    return {name: item for name, item in tidied.items() if item not in ({}, [], 0)}
+
+
+def _most(grant: Json, action: Json) -> Json:
+    """Return the most that a release can use of each budget."""
+    kind = FACTS["vocabulary"][action["type"]]
+    return {
+        "motion_ms": grant["max_ms"] if kind["moves"] else 0,
+        "wait_ms": grant["max_ms"] if kind["waits"] else 0,
+        "recorded_bytes": action["params"]["max_bytes"] if kind["records"] else 0,
+    }
 
 
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_every_executed_action_was_authorized_and_safe_where_it_was_executed(batch: int) -> None:
-    executed = refused = completed = 0
-    for number in range(TRACES // BATCHES):
-        seed = batch * TRACES + number
-        one, other = Trace(Random(seed)), Trace(Random(seed))
-        rnd = Random(seed + 1)
-        steps = rnd.randint(1, 2)
-        for _ in range(steps):
-            action, after_ms = random_action(rnd, one.world), rnd.randint(0, 400_000)
-            one.step(action, after_ms, safety_first=False)
-            if number % 5 == 0:
-                other.step(action, after_ms, safety_first=True)
-        if number % 5 == 0:
-            assert one.executed == other.executed
-        assert plain(one.standing) == one.theirs
-        executed += len(one.executed)
-        refused += steps - len(one.executed)
-        completed += oracle.is_complete(one.theirs, MISSION_PLAIN)
-    assert executed > 400
-    assert refused > 400
+    seen: Counter[str] = Counter()
+    for number in range(TRACES):
+        judge = Judge(seen)
+        for played in Trace(f"{batch}, trace {number}").play():
+            judge.step(played)
+        if judge.executed:  # nothing that was executed goes beyond the mission, plan by plan
+            assert oracle.plan_deviation(judge.executed, None) == (0, 0)
+    assert [what for what in HAPPENS if not seen[what]] == []
+
+
+def test_the_order_of_the_gates_does_not_matter() -> None:
+    """Safety first: what it refuses is never handed in. The robot does the same, step by step."""
+    moved = 0
+    for number in range(ORDERED):
+        one, other = (
+            [played.executed for played in Trace(f"order {number}", safety_first=first).play()]
+            for first in (False, True)
+        )
+        assert [_done(step) for step in one] == [_done(step) for step in other]
+        moved += len([step for step in one if step is not None])
+    assert moved > ORDERED
+
+
+def _done(executed: Any) -> Json | None:
+    if executed is None:
+        return None
+    action = {k: v for k, v in plain(executed.action).items() if k != "meta"}
+    return {**plain(executed), "action": action}

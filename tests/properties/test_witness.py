@@ -17,7 +17,7 @@ from authguard_r.audit.note import read_key
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.witness.desk import Answer, Witness, forget, open_witness, register
 from authguard_r.witness.state import read_folder
-from witnessing import NOW_S, ORIGIN, Log, attested, make, request
+from fixtures.witness_process import NOW_S, ORIGIN, Log, attested, make, request
 
 LONGEST = 24
 SIZES = st.integers(min_value=0, max_value=LONGEST)

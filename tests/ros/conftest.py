@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gates import RunningGate
+from fixtures.gate_process import RunningGate
 from ros.hospital import hospital
 
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from geometry_msgs.msg import Twist
 
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
+from fixtures.ros_processes import Actor
 from ros.graph import Base, Graph, graph_of
 from ros.hospital import HERE
 from ros.stuck import EXECUTORS, LOOP, ROBOTS
-from ros_stopping import Actor
 
 STUCK = (sys.executable, str(Path(__file__).with_name("stuck.py")))
 #: What may become of the gate's node, by the signal that does it.

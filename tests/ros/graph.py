@@ -41,7 +41,6 @@ from std_msgs.msg import UInt8
 from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
-import worlds
 from authguard_r.client.link import Log
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import parse_map
@@ -49,7 +48,8 @@ from authguard_r.ros.nodes.heartbeat import steady
 from authguard_r.ros.nodes.mediator import Mediator, Place, mediating
 from authguard_r.site.source import read_site
 from authguard_r.tools.given import given_binding
-from gates import RunningGate, environment, module, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, environment, module, until
 from ros.hospital import HERE
 
 #: Bound against hanging, in seconds; nothing is measured against it.
@@ -386,7 +386,7 @@ class Graph:
             stderr=self._errors,
             text=True,
             env=environment(measured=command is not NODE),
-            cwd=worlds.ROOT,
+            cwd=scenarios.ROOT,
         )
 
     def ended(self) -> int:
@@ -438,7 +438,7 @@ class Graph:
         words = [sys.executable, "-m", "ros.graph", *map(str, (self.domain, *order))]
         env = {**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)}
         process = subprocess.Popen(
-            words, stdout=subprocess.PIPE, text=True, env=env, cwd=worlds.ROOT
+            words, stdout=subprocess.PIPE, text=True, env=env, cwd=scenarios.ROOT
         )
         self._others.append(process)
         assert process.stdout is not None

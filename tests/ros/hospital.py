@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 
-from gates import RunningGate
-from robots import gate_of
+from fixtures.gate_process import RunningGate
+from fixtures.packaged_robots import gate_of
 
 HERE = Path(__file__).resolve().parent
 #: A mission of many short actions.

@@ -20,14 +20,14 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
-import worlds
 from authguard_r.client.link import mono_ms
 from authguard_r.client.sensing import SENSORS
 from authguard_r.core.identifiers import RegionId
 from authguard_r.sim.sensors import LOOK_MS, SensorServer
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.world import initial_state
-from gates import RunningGate, environment, module, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, environment, module, until
 from ros.graph import PATIENCE_S, Peer
 from ros.hospital import HERE
 
@@ -169,7 +169,7 @@ class Running:
             stderr=self._errors,
             text=True,
             env=environment(measured=False),
-            cwd=worlds.ROOT,
+            cwd=scenarios.ROOT,
         )
 
     def ready(self) -> dict[str, Any]:
@@ -228,7 +228,7 @@ def sensing(gate: RunningGate) -> Iterator[None]:
 
     They lie about the place and the speed: nothing of that may be attested.
     """
-    state = initial_state(worlds.site(), RegionId("pharmacy"))
+    state = initial_state(scenarios.site(), RegionId("pharmacy"))
     raw = snapshot_of(state, robot=gate.rid, epoch=0, seq=0)
     over = threading.Event()
 

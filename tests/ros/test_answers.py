@@ -26,7 +26,7 @@ from test_msgs.action import Fibonacci
 from unique_identifier_msgs.msg import UUID
 
 from authguard_r.ros.nodes.actions import BIND_S, MOST_ASKERS, RESULT_S, _Server
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
 from ros.graph import PATIENCE_S, Goal, Graph, Peer, Planner, graph_of, next_domain
 from ros.hospital import HERE, hospital
 from ros.test_mediation import asked, fibonacci, outcomes

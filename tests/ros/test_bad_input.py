@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_msgs.action import Fibonacci, NestedMessage
 
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
 from ros.graph import Arm, Client, Goal, Graph, Peer, Planner, Stick
 from ros.test_mediation import twist
 from ros.test_words import HORN, Writer, plan, speaking

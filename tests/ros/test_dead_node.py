@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an env
 from geometry_msgs.msg import Twist
 from test_msgs.action import Fibonacci
 
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
 from ros.deployed import FAULTS, TRANSPORT, guarded
 from ros.graph import Goal, Stick
 from ros.test_mediation import twist

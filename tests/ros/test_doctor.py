@@ -16,8 +16,8 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
 pytest.importorskip("nav2_msgs", reason="needs nav2_msgs (tests/ros/build_interfaces.sh)")
 
-from gates import environment
-from worlds import ROOT
+from fixtures.gate_process import environment
+from fixtures.scenarios import ROOT
 
 EXAMPLE = ROOT / "examples" / "ros" / "map.yaml"
 

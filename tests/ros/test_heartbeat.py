@@ -41,7 +41,7 @@ from authguard_r.ros.nodes.heartbeat import (
     gate_heartbeat,
     listen,
 )
-from ros_stopping import PATIENCE_S, clean_shared, map_of
+from fixtures.ros_processes import PATIENCE_S, clean_shared, map_of
 
 # what rclpy imports to read its types imports a module that Python has renamed
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")

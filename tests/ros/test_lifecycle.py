@@ -24,14 +24,14 @@ from rclpy.action import ActionClient
 from rosgraph_msgs.msg import Clock
 from test_msgs.action import Fibonacci
 
-import worlds
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import parse_map
 from authguard_r.ros.nodes import process
 from authguard_r.ros.nodes.process import require_bench, ros_context
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, until
 from ros.graph import PATIENCE_S, Goal, Graph, Planner, graph_of
 from ros.hospital import HERE
 from unit.keys.chains import house
@@ -160,7 +160,7 @@ def test_nothing_runs_on_when_it_is_deactivated_under_a_planner_that_never_stops
 
 
 def test_a_bench_is_no_place_for_a_root_in_earnest() -> None:
-    require_bench(read_trust(worlds.trust_folder()), demo=True)
+    require_bench(read_trust(scenarios.trust_folder()), demo=True)
     require_bench(house().trust(), demo=False)
     with pytest.raises(EnvironmentFault, match="--demo"):
         require_bench(house().trust(), demo=True)
@@ -172,8 +172,8 @@ def test_a_bench_is_no_place_where_dds_security_is_spoken_of(
     """A node without it would stand beside a dead-man that cannot start."""
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "false")
     with pytest.raises(EnvironmentFault, match="ROS_SECURITY_ENABLE"):
-        require_bench(read_trust(worlds.trust_folder()), demo=True)
-    require_bench(read_trust(worlds.trust_folder()), demo=False)
+        require_bench(read_trust(scenarios.trust_folder()), demo=True)
+    require_bench(read_trust(scenarios.trust_folder()), demo=False)
 
 
 def test_it_is_cleaned_up_configured_anew_and_shut_down(graph: Graph) -> None:
@@ -256,7 +256,7 @@ def test_another_robots_gate_is_no_configuration(graph: Graph) -> None:
     plain = yaml.safe_load((HERE / "map.yaml").read_text())
     horn = {"horn": plain["mediated"]["horn"]}
     other = graph.folder / "other.yaml"
-    other.write_text(yaml.safe_dump({**plain, "robot": worlds.OTHER, "mediated": horn}))
+    other.write_text(yaml.safe_dump({**plain, "robot": scenarios.OTHER, "mediated": horn}))
     graph.launch(source=other)
     assert graph.ended() == 1
     assert "ROBOT_MISMATCH" in graph.said()

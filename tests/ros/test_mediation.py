@@ -30,7 +30,7 @@ from authguard_r.client import GateClient
 from authguard_r.commands import Verb
 from authguard_r.ros.nodes.actions import GONE_S
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, order, until
+from fixtures.gate_process import RunningGate, order, until
 from ros.graph import Arm, Goal, Graph, Peer, Stick, graph_of
 
 

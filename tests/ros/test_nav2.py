@@ -22,8 +22,8 @@ from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
 
-from gates import RunningGate, until
-from robots import gate_of
+from fixtures.gate_process import RunningGate, until
+from fixtures.packaged_robots import gate_of
 from ros.graph import Arm, Goal, Graph, Planner, graph_of
 from ros.hospital import BUDGETS, GO, HERE, ISOLATION, PHARMACY
 

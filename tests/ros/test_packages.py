@@ -30,12 +30,12 @@ from std_srvs.srv import SetBool
 
 from authguard_r.ros.keystore import make_keystore
 from authguard_r.ros.map import read_map
-from gates import RunningGate, environment, until
-from robots import gate_of
+from fixtures.gate_process import RunningGate, environment, until
+from fixtures.packaged_robots import gate_of
+from fixtures.ros_processes import map_of
+from fixtures.scenarios import ROOT
 from ros.graph import PATIENCE_S, Arm, Goal, Graph
 from ros.hospital import BUDGETS, GO, ISOLATION, PHARMACY
-from ros_stopping import map_of
-from worlds import ROOT
 
 EXAMPLE = ROOT / "examples" / "ros"
 SCRIPTS = ("gate_node", "actuator", "deadman", "estimator")

@@ -32,7 +32,6 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.link import Log
 from authguard_r.commands import Verb
@@ -54,8 +53,9 @@ from authguard_r.ros.rights import rights_of
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.world import initial_state
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, Told, order, until
-from robots import gate_of
+from fixtures import scenarios
+from fixtures.gate_process import RunningGate, Told, order, until
+from fixtures.packaged_robots import gate_of
 from ros.graph import Arm, Goal, Graph, Peer, graph_of, next_domain
 from ros.hospital import BUDGETS, GO, HERE
 from ros.places import (
@@ -595,12 +595,12 @@ def test_without_sensors_the_place_and_the_speed_are_all_that_is_attested() -> N
     position = parse_map(map_with(1), where="map").position
     assert position is not None
     fix = Fix(x_mm=1, y_mm=2, speed_mm_s=3, measured_ns=1_000_000)
-    seen = Estimate(worlds.RID, position, lambda: fix).look(11)
+    seen = Estimate(scenarios.RID, position, lambda: fix).look(11)
     assert seen is not None
     assert seen.snapshot.pose is not None
     assert (seen.measured_ms, seen.snapshot.pose.age_ms) == (11, 10)
     assert set(seen.snapshot.readings) == {"speed_mm_s"}
-    assert Estimate(worlds.RID, position, lambda: None).look(11) is None
+    assert Estimate(scenarios.RID, position, lambda: None).look(11) is None
 
 
 def test_a_node_that_does_not_spin_any_more_ends_the_process() -> None:
@@ -643,7 +643,7 @@ def test_an_estimator_that_another_shut_out_says_so(tmp_path: Path, mortal: Runn
         text = map_with(graph.domain, odometry="/odom")
         with estimating(tmp_path, mortal, text) as estimator:
             ahead = time.time_ns() // 1_000_000 + 1_000
-            dock = initial_state(worlds.site(), "dock")
+            dock = initial_state(scenarios.site(), "dock")
             other = snapshot_of(dock, robot=mortal.rid, epoch=ahead, seq=1)
             signer = folder_signer(mortal.trust, f"estimator-{mortal.rid}")
             with mortal.client(ClientRole.ESTIMATOR, "another") as client:

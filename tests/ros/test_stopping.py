@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="an environment with ROS runs these (tests/ros/make.sh)")
 
-from ros_stopping import Driving, Robot, move
+from fixtures.ros_processes import Driving, Robot, move
 
 #: From a fault to a base that stands and a goal that is canceled, in milliseconds.
 SOON_MS = 1_000.0

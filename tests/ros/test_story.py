@@ -21,8 +21,8 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
 pytest.importorskip("nav2_msgs", reason="needs nav2_msgs (tests/ros/build_interfaces.sh)")
 
-from gates import environment, until
-from worlds import ROOT
+from fixtures.gate_process import environment, until
+from fixtures.scenarios import ROOT
 
 STORY = ROOT / "examples" / "ros" / "story.py"
 #: Bound against hanging, in seconds; nothing is measured against it.

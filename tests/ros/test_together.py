@@ -17,7 +17,7 @@ from test_msgs.action import Fibonacci
 
 from authguard_r.client import GateClient
 from authguard_r.wire.messages import ClientRole
-from gates import RunningGate, until
+from fixtures.gate_process import RunningGate, until
 from ros.graph import Arm, Goal, Graph, Stick
 from ros.test_mediation import outcomes, twist
 

@@ -15,7 +15,7 @@ from geometry_msgs.msg import Twist
 
 from authguard_r.ros.nodes.velocity import StreamOutlet
 from authguard_r.site.model import Profile
-from gates import until
+from fixtures.gate_process import until
 from ros.graph import Peer, next_domain
 
 

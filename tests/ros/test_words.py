@@ -48,8 +48,8 @@ from authguard_r.ros.nodes.proposals import MOST
 from authguard_r.ros.nodes.values import plain_of
 from authguard_r.tools.server import WITHHELD
 from authguard_r.wire.messages import ClientRole
-from gates import EVERY, RunningGate, Told, until
-from robots import gate_of
+from fixtures.gate_process import EVERY, RunningGate, Told, until
+from fixtures.packaged_robots import gate_of
 from ros.graph import Arm, Graph, Peer, Planner, graph_of
 from ros.hospital import BRAKES, BUDGETS, GO, GRANTS, HERE, ISOLATION, TOOLS
 from ros.test_mediation import asked

@@ -11,7 +11,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.anchoring.anchor import Anchor, Reading, Why, read_counter
 from authguard_r.anchoring.counter import Counted, FileCounter, open_note, seal
 from authguard_r.assembly import (
@@ -44,8 +43,9 @@ from authguard_r.keys.setup import Member, init_folder
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_held
+from fixtures import scenarios
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 HOUR_MS = 3_600_000
 
 
@@ -57,16 +57,16 @@ class Robot:
         for path in (self.store, self.counter):
             path.parent.mkdir()
         self.kept = folder / "kept.db"
-        self.start_ms = worlds.START_MS
-        self.trust = worlds.trust_folder()
+        self.start_ms = scenarios.START_MS
+        self.trust = scenarios.trust_folder()
 
     def start(self, *, counter: bool = True) -> Simulation:
         self.start_ms += HOUR_MS
         return simulate(
             self.trust,
-            worlds.site(),
-            worlds.binding(),
-            rid=worlds.RID,
+            scenarios.site(),
+            scenarios.binding(),
+            rid=scenarios.RID,
             start_ms=self.start_ms,
             store=self.store,
             counter=FileCounter(self.counter) if counter else None,
@@ -80,7 +80,7 @@ class Robot:
 
     def note(self) -> Counted:
         data = self.counter.read_bytes()
-        return open_note(data, verifier=folder_trust(worlds.trust_folder()))
+        return open_note(data, verifier=folder_trust(scenarios.trust_folder()))
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def robot(tmp_path: Path) -> Robot:
 
 
 def mission(*, irreversible: bool = False, **changes: Any) -> Mission:
-    made = worlds.mission(**changes)
+    made = scenarios.mission(**changes)
     grants = tuple(
         msgspec.structs.replace(grant, irreversible=irreversible) for grant in made.actions
     )
@@ -113,18 +113,18 @@ def command(
         mid=made.mid,
         version=1,
         mission=digest_of(Tag.MISSION, made),
-        nonce=b64(worlds.random_bytes(16)),
-        expires_ms=(at or worlds.START_MS) + 10**9,
+        nonce=b64(scenarios.random_bytes(16)),
+        expires_ms=(at or scenarios.START_MS) + 10**9,
         issued_ms=issued_ms,
     )
-    return sign_object(value, Tag.COMMAND, folder_signer(worlds.trust_folder(), by))
+    return sign_object(value, Tag.COMMAND, folder_signer(scenarios.trust_folder(), by))
 
 
 def order(
     sim: Simulation,
     *,
     by: str = "operator-1",
-    mid: str = worlds.RID,
+    mid: str = scenarios.RID,
     trust: Path | None = None,
     **claim: Any,
 ) -> bytes:
@@ -137,11 +137,11 @@ def order(
         mid=mid,
         version=1,
         mission=shown["store"],
-        nonce=b64(worlds.random_bytes(16)),
+        nonce=b64(scenarios.random_bytes(16)),
         expires_ms=sim.gate.ledger.last_ms() + 60_000,
         accepts=StoreClaim(**said | claim),
     )
-    return sign_object(value, Tag.COMMAND, folder_signer(trust or worlds.trust_folder(), by))
+    return sign_object(value, Tag.COMMAND, folder_signer(trust or scenarios.trust_folder(), by))
 
 
 def refused(act: Any) -> Reason:
@@ -154,11 +154,11 @@ def worked(robot: Robot, made: Mission | None = None) -> Mission:
     """Run once: a mission is active in the store, kept, and something is done after."""
     made = made or mission()
     sim = robot.start()
-    sim.gate.management.activate(worlds.token(made))
+    sim.gate.management.activate(scenarios.token(made))
     sim.gate.close()
     robot.keep()
     sim = robot.start()
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     sim.gate.close()
     return made
 
@@ -176,8 +176,13 @@ def test_a_store_is_counted_at_the_start_and_at_a_clean_end(robot: Robot) -> Non
     sim = robot.start()
     begun = robot.note()
     size, head = sim.gate.ledger.peek(lambda turn: turn.head())
-    assert (begun.robot, begun.number, begun.size, begun.head) == (worlds.RID, 1, size, b64(head))
-    sim.gate.management.activate(worlds.token(mission()))
+    assert (begun.robot, begun.number, begun.size, begun.head) == (
+        scenarios.RID,
+        1,
+        size,
+        b64(head),
+    )
+    sim.gate.management.activate(scenarios.token(mission()))
     assert robot.note() == begun
     sim.gate.close()
     ended = robot.note()
@@ -201,7 +206,7 @@ def test_what_cannot_be_undone_is_counted_before_it_is_dispatched(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = robot.start()
-    sim.gate.management.activate(worlds.token(mission(irreversible=True)))
+    sim.gate.management.activate(scenarios.token(mission(irreversible=True)))
     seen: list[tuple[int, int]] = []
     dispatch = sim.robot.dispatch
 
@@ -210,16 +215,16 @@ def test_what_cannot_be_undone_is_counted_before_it_is_dispatched(
         return dispatch(action, lease)
 
     monkeypatch.setattr(sim.robot, "dispatch", looked)
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     assert seen == [(seen[0][1], seen[0][1])]  # the decision's own record is counted
     sim.gate.close()
 
 
 def test_what_can_be_undone_costs_no_counter(robot: Robot) -> None:
     sim = robot.start()
-    sim.gate.management.activate(worlds.token(mission()))
+    sim.gate.management.activate(scenarios.token(mission()))
     before = robot.note()
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     assert robot.note() == before
 
 
@@ -229,17 +234,17 @@ def test_a_counter_that_cannot_be_written_refuses_what_cannot_be_undone_and_noth
     """Nothing is consumed by it, and once it can be written again the same proposal is released."""
     sim = robot.start()
     irreversible = mission(irreversible=True)
-    sim.gate.management.activate(worlds.token(irreversible))
+    sim.gate.management.activate(scenarios.token(irreversible))
     away = robot.counter.parent.with_name("away")
     robot.counter.parent.rename(away)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.refusal.reason is Reason.STORE_UNAVAILABLE
     assert report.refusal.where == str(robot.counter)
     assert records(sim)[-1].open["reasons"] == ["STORE_UNAVAILABLE"]
     assert sim.gate.ledger.standing(irreversible.mid).uses == {}
     assert sim.robot.trace == []
     away.rename(robot.counter.parent)
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
 
 
 def test_a_counter_that_breaks_between_commit_and_dispatch_starts_nothing(
@@ -247,7 +252,7 @@ def test_a_counter_that_breaks_between_commit_and_dispatch_starts_nothing(
 ) -> None:
     sim = robot.start()
     made = mission(irreversible=True)
-    sim.gate.management.activate(worlds.token(made))
+    sim.gate.management.activate(scenarios.token(made))
     write, left = FileCounter.write, [1]  # the first, before the commit, still works
 
     def breaks(counter: FileCounter, note: bytes) -> None:
@@ -257,7 +262,7 @@ def test_a_counter_that_breaks_between_commit_and_dispatch_starts_nothing(
         write(counter, note)
 
     monkeypatch.setattr(FileCounter, "write", breaks)
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.NOT_STARTED
     assert [finding.reason for finding in report.reasons] == [Reason.STORE_UNAVAILABLE]
     assert sim.robot.trace == []
@@ -275,8 +280,8 @@ def test_a_counter_that_cannot_be_written_at_the_start_or_the_end_hinders_nobody
     with monkeypatch.context() as patch:
         patch.setattr(FileCounter, "write", breaks)
         sim = robot.start()
-        sim.gate.management.activate(worlds.token(mission()))
-        assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+        sim.gate.management.activate(scenarios.token(mission()))
+        assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
         sim.gate.close()
     assert not robot.counter.exists()
     sim = robot.start()  # it never was there, so nothing is missing
@@ -293,11 +298,11 @@ def test_a_store_that_was_put_back_is_caught_and_refuses(robot: Robot) -> None:
     assert (alert["what"], alert["why"]) == ("the store was put back", "behind")
     assert alert["counted"] > alert["size"]
     assert sim.gate.ledger.standing(made.mid).status == "suspended"
-    assert worlds.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
     assert sim.robot.trace == []
     manage = sim.gate.management
     for act in (
-        lambda: manage.activate(worlds.token(made)),
+        lambda: manage.activate(scenarios.token(made)),
         lambda: manage.command(command(Verb.RESUME, made)),
         lambda: manage.command(command(Verb.SUSPEND, made, by="safety-officer-1")),
         lambda: manage.select(b"{}"),
@@ -333,7 +338,7 @@ def test_a_store_that_was_deleted_is_caught(robot: Robot) -> None:
     robot.store.unlink()
     sim = robot.start()
     assert sim.gate.anchor.why is Why.REPLACED
-    assert refused(lambda: sim.gate.management.activate(worlds.token(mission()))) is (
+    assert refused(lambda: sim.gate.management.activate(scenarios.token(mission()))) is (
         Reason.ROLLED_BACK
     )
 
@@ -349,7 +354,7 @@ def test_a_copy_that_went_on_elsewhere_is_caught_however_long_it_is(robot: Robot
     anew = held.gate.ledger.last_ms() + 1
     held.gate.management.command(command(Verb.RESUME, made, at=robot.start_ms, issued_ms=anew))
     for place in ("pharmacy", "dock", "pharmacy"):
-        worlds.propose(held, worlds.navigate("dock", place))
+        scenarios.propose(held, scenarios.navigate("dock", place))
     held.gate.close()
     robot.counter.write_bytes(counter)
     sim = robot.start()
@@ -359,9 +364,9 @@ def test_a_copy_that_went_on_elsewhere_is_caught_however_long_it_is(robot: Robot
 def test_a_counter_that_is_gone_torn_foreign_or_another_robots_is_caught(robot: Robot) -> None:
     worked(robot)
     good, note = robot.counter.read_bytes(), robot.note()
-    lifter = folder_signer(worlds.trust_folder(), "gate-lifter-1")
-    foreign = seal(msgspec.structs.replace(note, robot=worlds.OTHER), lifter)
-    forged = seal(note, folder_signer(worlds.trust_folder(), "operator-1"))
+    lifter = folder_signer(scenarios.trust_folder(), "gate-lifter-1")
+    foreign = seal(msgspec.structs.replace(note, robot=scenarios.OTHER), lifter)
+    forged = seal(note, folder_signer(scenarios.trust_folder(), "operator-1"))
     for bad, why in (
         (None, Why.COUNTER_MISSING),
         (b"", Why.COUNTER_FOREIGN),
@@ -374,7 +379,7 @@ def test_a_counter_that_is_gone_torn_foreign_or_another_robots_is_caught(robot: 
             robot.counter.write_bytes(bad)
         sim = robot.start()
         assert sim.gate.anchor.why is why
-        assert worlds.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
+        assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
         sim.gate.close()
         robot.counter.write_bytes(good)
     robot.start().gate.close()
@@ -409,8 +414,10 @@ def test_leaving_the_counter_out_is_no_way_round(robot: Robot) -> None:
     sim = robot.start(counter=False)
     assert sim.gate.anchor.why is Why.COUNTER_NOT_NAMED
     sim.gate.close()
-    gate = offline_gate(worlds.trust_folder(), worlds.site(), rid=worlds.RID, store=robot.store)
-    assert refused(lambda: gate.management.activate(worlds.token(mission()))) is (
+    gate = offline_gate(
+        scenarios.trust_folder(), scenarios.site(), rid=scenarios.RID, store=robot.store
+    )
+    assert refused(lambda: gate.management.activate(scenarios.token(mission()))) is (
         Reason.ROLLED_BACK
     )
     gate.close()
@@ -419,11 +426,11 @@ def test_leaving_the_counter_out_is_no_way_round(robot: Robot) -> None:
 def test_a_store_that_is_ahead_of_its_counter_is_one_whose_gate_died(robot: Robot) -> None:
     made = mission()
     sim = robot.start()
-    sim.gate.management.activate(worlds.token(made))
+    sim.gate.management.activate(scenarios.token(made))
     sim.gate.ledger.close()  # no clean end: the counter knows of the start alone
     sim = robot.start()
     assert sim.gate.anchor.why is None
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
 
 
 def test_a_store_from_before_there_was_a_counter_takes_one(robot: Robot) -> None:
@@ -450,11 +457,11 @@ def test_a_counter_and_a_signer_go_together(robot: Robot) -> None:
     sim = robot.start()
     for wrong in ({"counter": FileCounter(robot.counter)}, {"signer": sim.signer}):
         with pytest.raises(TypeError):
-            Anchor(sim.gate.ledger, robot=worlds.RID, **wrong)
+            Anchor(sim.gate.ledger, robot=scenarios.RID, **wrong)
 
 
 def test_without_a_counter_nothing_is_read() -> None:
-    assert read_counter(None, verifier=folder_trust(worlds.trust_folder())) == Reading()
+    assert read_counter(None, verifier=folder_trust(scenarios.trust_folder())) == Reading()
 
 
 # recovery
@@ -471,7 +478,7 @@ def test_work_goes_on_after_a_signed_order_and_a_resume(robot: Robot, by: str) -
     after = robot.note()
     assert after.number > behind.number
     assert after.size == done.size
-    assert worlds.propose(sim, GO).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
+    assert scenarios.propose(sim, GO).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
     accepted = sim.gate.ledger.last_ms()
     for issued_ms in (0, accepted):  # it may be one of the lost part
         early = command(Verb.RESUME, made, issued_ms=issued_ms)
@@ -479,7 +486,7 @@ def test_work_goes_on_after_a_signed_order_and_a_resume(robot: Robot, by: str) -
             sim.gate.management.command(early)
         assert (old.value.reason, old.value.where) == (Reason.ROLLED_BACK, "command.issued_ms")
     sim.gate.management.command(command(Verb.RESUME, made, issued_ms=accepted + 1))
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     sim.gate.close()
     assert robot.start().gate.anchor.why is None
 
@@ -497,11 +504,11 @@ def test_an_operator_of_other_robots_accepts_no_store_of_this_one(
     robot: Robot, tmp_path: Path
 ) -> None:
     robot.trust = tmp_path / "trust"
-    confined = Member(id="operator-9", role=Role.OPERATOR, robots=(worlds.OTHER,), regions=None)
+    confined = Member(id="operator-9", role=Role.OPERATOR, robots=(scenarios.OTHER,), regions=None)
     init_folder(
         robot.trust,
-        (*demo_members(worlds.site(), (worlds.RID,)), confined),
-        now=datetime.fromtimestamp(worlds.START_MS / 1_000, UTC),
+        (*demo_members(scenarios.site(), (scenarios.RID,)), confined),
+        now=datetime.fromtimestamp(scenarios.START_MS / 1_000, UTC),
     )
     robot.start().gate.close()
     robot.counter.unlink()
@@ -516,7 +523,7 @@ def test_two_releases_at_once_never_count_less_than_before(robot: Robot) -> None
     sim = robot.start()
     anchor, ledger = sim.gate.anchor, sim.gate.ledger
     older = ledger.peek(lambda turn: turn.head())
-    sim.gate.management.activate(worlds.token(mission()))
+    sim.gate.management.activate(scenarios.token(mission()))
     anchor.count()
     newer = robot.note()
     assert newer.size > older[0]
@@ -611,7 +618,7 @@ def test_an_order_whose_counter_cannot_be_written_lets_nothing_go_on(
         assert refused(lambda: sim.gate.management.accept_store(order(sim))) is (
             Reason.STORE_UNAVAILABLE
         )
-    assert worlds.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
     sim.gate.ledger.close()  # it dies there
     sim = robot.start()
     # its refusals and alerts have made it longer than what was counted, and it is not that log
@@ -625,21 +632,21 @@ def test_a_mission_that_the_lost_part_may_have_used_up_is_not_taken_in_again(rob
     robot.keep()
     made = mission()
     sim = robot.start()
-    sim.gate.management.activate(worlds.token(made))
-    assert worlds.propose(sim, GO).outcome is Outcome.SUCCEEDED
+    sim.gate.management.activate(scenarios.token(made))
+    assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     sim.gate.close()
     robot.put_back()
     sim = robot.start()
     sim.gate.management.accept_store(order(sim))
     manage = sim.gate.management
-    assert refused(lambda: manage.activate(worlds.token(made))) is Reason.ROLLED_BACK
-    later = worlds.mission(
+    assert refused(lambda: manage.activate(scenarios.token(made))) is Reason.ROLLED_BACK
+    later = scenarios.mission(
         window={
             "not_before": to_timestamp(robot.start_ms),
             "expiry": to_timestamp(robot.start_ms + HOUR_MS),
         }
     )
-    assert manage.activate(worlds.token(later)).status == "active"
+    assert manage.activate(scenarios.token(later)).status == "active"
 
 
 def test_requests_and_choices_of_before_die_and_numbers_leap(robot: Robot) -> None:
@@ -666,7 +673,7 @@ def test_what_was_closing_is_over(robot: Robot) -> None:
     sim.gate.ledger.run(closing)
     done = sim.gate.management.accept_store(order(sim))
     assert done.status == "revoked"
-    assert worlds.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.NO_ACTIVE_MISSION
 
 
 def test_a_store_without_a_mission_is_accepted_too(robot: Robot) -> None:
@@ -696,14 +703,14 @@ def test_the_counter_knows_how_late_it_is_when_the_store_does_not(robot: Robot) 
 
 def test_a_machine_without_a_clock_serves_stops_and_waits(robot: Robot) -> None:
     made = worked(robot)
-    trust = folder_trust(worlds.trust_folder())
+    trust = folder_trust(scenarios.trust_folder())
     for at_ms in (0, 86_400_000):
-        clock = worlds.simulation(start_ms=worlds.START_MS).robot
+        clock = scenarios.simulation(start_ms=scenarios.START_MS).robot
         gate = assemble(
             trust=trust,
-            chain=folder_signer(worlds.trust_folder(), "gate-courier-1").chain,
-            site=worlds.site(),
-            safety=EnvelopeGate(default_config(worlds.site(), worlds.RID)),
+            chain=folder_signer(scenarios.trust_folder(), "gate-courier-1").chain,
+            site=scenarios.site(),
+            safety=EnvelopeGate(default_config(scenarios.site(), scenarios.RID)),
             controller=clock,
             source=clock,
             clock=Stopped(at_ms),
@@ -711,11 +718,11 @@ def test_a_machine_without_a_clock_serves_stops_and_waits(robot: Robot) -> None:
             genesis={},
             demo=True,
             counter=FileCounter(robot.counter),
-            signer=folder_signer(worlds.trust_folder(), "gate-courier-1"),
+            signer=folder_signer(scenarios.trust_folder(), "gate-courier-1"),
         )
         assert gate.anchor.why is None
         assert refused(lambda made=gate: made.ledger.now()) is Reason.CLOCK_BEHIND
-        assert refused(lambda gate=gate: gate.management.activate(worlds.token(made))) is (
+        assert refused(lambda gate=gate: gate.management.activate(scenarios.token(made))) is (
             Reason.CLOCK_BEHIND
         )
         gate.enforcer.stop(by="person", is_planner=False)
@@ -723,12 +730,12 @@ def test_a_machine_without_a_clock_serves_stops_and_waits(robot: Robot) -> None:
 
 
 def test_a_new_store_on_a_machine_without_a_clock_does_not_begin_in_1970() -> None:
-    robot = worlds.simulation().robot
+    robot = scenarios.simulation().robot
     gate = assemble(
-        trust=folder_trust(worlds.trust_folder()),
-        chain=folder_signer(worlds.trust_folder(), "gate-courier-1").chain,
-        site=worlds.site(),
-        safety=EnvelopeGate(default_config(worlds.site(), worlds.RID)),
+        trust=folder_trust(scenarios.trust_folder()),
+        chain=folder_signer(scenarios.trust_folder(), "gate-courier-1").chain,
+        site=scenarios.site(),
+        safety=EnvelopeGate(default_config(scenarios.site(), scenarios.RID)),
         controller=robot,
         source=robot,
         clock=Stopped(0),
@@ -738,7 +745,7 @@ def test_a_new_store_on_a_machine_without_a_clock_does_not_begin_in_1970() -> No
     )
     assert refused(gate.ledger.now) is Reason.CLOCK_BEHIND
     (first,) = (row for row in gate.ledger.peek(lambda turn: turn.rows(0, 1)))
-    assert read_record(first[1], where="").link.time_ms > worlds.START_MS - 30 * 86_400_000
+    assert read_record(first[1], where="").link.time_ms > scenarios.START_MS - 30 * 86_400_000
 
 
 class Stopped:

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 
 import pytest
 
-import worlds
 from authguard_r.assembly import assemble, demo_members, folder_signer, offline_gate
 from authguard_r.core.errors import AuthGuardError, ControllerError, StoreError
 from authguard_r.keys.setup import init_folder
@@ -19,15 +18,16 @@ from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
 from authguard_r.times import SystemClock, store_clock
+from fixtures import scenarios
 
 
 def parts(name: str = "gate-courier-1", **changes):  # type: ignore[no-untyped-def]
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     fields = {
-        "trust": read_trust(worlds.trust_folder()),
-        "chain": folder_signer(worlds.trust_folder(), name).chain,
-        "site": worlds.site(),
-        "safety": EnvelopeGate(default_config(worlds.site(), worlds.RID)),
+        "trust": read_trust(scenarios.trust_folder()),
+        "chain": folder_signer(scenarios.trust_folder(), name).chain,
+        "site": scenarios.site(),
+        "safety": EnvelopeGate(default_config(scenarios.site(), scenarios.RID)),
         "controller": sim.robot,
         "source": sim.robot,
         "clock": sim.robot,
@@ -51,16 +51,16 @@ def test_only_a_gates_certificate_makes_a_gate(name: str) -> None:
 
 def test_a_folder_without_the_key_is_a_fault_with_its_place() -> None:
     with pytest.raises(AuthGuardError, match="holds no key of `nobody`"):
-        folder_signer(worlds.trust_folder(), "nobody")
+        folder_signer(scenarios.trust_folder(), "nobody")
 
 
 def test_an_offline_gate_moves_nothing(tmp_path) -> None:  # type: ignore[no-untyped-def]
     gate = offline_gate(
-        worlds.trust_folder(), worlds.site(), rid=worlds.RID, store=tmp_path / "robot.db"
+        scenarios.trust_folder(), scenarios.site(), rid=scenarios.RID, store=tmp_path / "robot.db"
     )
     controller = gate.enforcer._watch.controller
     with pytest.raises(ControllerError):
-        controller.dispatch(worlds.navigate("dock", "pharmacy"), None)  # type: ignore[arg-type]
+        controller.dispatch(scenarios.navigate("dock", "pharmacy"), None)  # type: ignore[arg-type]
     controller.stop()
     assert gate.enforcer.intake.refresh() is None
     gate.close()
@@ -77,12 +77,12 @@ def test_the_machines_clocks_run_forward() -> None:
 def test_simulated_time_goes_on_where_it_was_committed(tmp_path) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "robot.db"
     assert isinstance(store_clock(path), SystemClock)
-    ahead = worlds.START_MS + 10**10
-    sim = worlds.simulation(store=path, start_ms=worlds.START_MS)
-    sim.gate.management.activate(worlds.token())
+    ahead = scenarios.START_MS + 10**10
+    sim = scenarios.simulation(store=path, start_ms=scenarios.START_MS)
+    sim.gate.management.activate(scenarios.token())
     sim.gate.close()
     clock = store_clock(path)
-    assert clock.wall_ms() >= worlds.START_MS
+    assert clock.wall_ms() >= scenarios.START_MS
     assert clock.mono_ms() >= 0
     clock.pause(1)
     assert clock.wall_ms() < ahead
@@ -101,16 +101,16 @@ def test_a_store_of_the_machines_own_time_is_not_simulated(tmp_path) -> None:  #
 
 
 def test_a_store_of_another_robot_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    worlds.simulation(store=tmp_path / "robot.db").gate.close()
+    scenarios.simulation(store=tmp_path / "robot.db").gate.close()
     with pytest.raises(AuthGuardError, match="ROBOT_MISMATCH"):
-        worlds.simulation(store=tmp_path / "robot.db", rid=worlds.OTHER)
+        scenarios.simulation(store=tmp_path / "robot.db", rid=scenarios.OTHER)
 
 
 @pytest.fixture
 def other_trust(tmp_path):  # type: ignore[no-untyped-def]
     folder = tmp_path / "trust"
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
-    init_folder(folder, demo_members(worlds.site(), (worlds.RID,)), now=begin)
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
+    init_folder(folder, demo_members(scenarios.site(), (scenarios.RID,)), now=begin)
     return folder
 
 
@@ -138,7 +138,7 @@ def test_each_mode_has_a_store_of_its_own(first: str, then: str, tmp_path) -> No
 
 def test_a_log_that_does_not_say_whose_it_is_goes_on_enforcing_and_nothing_else() -> None:
     clock, store = SystemClock(), MemoryStore()
-    Ledger(store, clock, robot=worlds.RID, salts=os.urandom, genesis={})
+    Ledger(store, clock, robot=scenarios.RID, salts=os.urandom, genesis={})
     assert assemble(**parts(store=store, clock=clock), demo=True).ledger.store is store
     with pytest.raises(StoreError, match="mode `enforce`"):
         assemble(**parts(store=store, clock=clock), demo=True, marks={"mode": "shadow"})

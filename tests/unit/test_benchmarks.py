@@ -11,9 +11,11 @@ from typing import Any
 
 import pytest
 
-import worlds
+from fixtures import scenarios
 
-_FOLDER = str(worlds.ROOT / "benchmarks")
+pytestmark = pytest.mark.smoke
+
+_FOLDER = str(scenarios.ROOT / "benchmarks")
 _LENGTHS = ("short", "long")
 _TARGETS = {
     "socket_accept_net": 0.15,

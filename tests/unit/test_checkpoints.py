@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.anchoring.checkpoints import (
     CHECKPOINT,
     FRONTIER,
@@ -39,10 +38,11 @@ from authguard_r.core.ports import Endorsed, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import require_all
 from authguard_r.store.memory import MemoryStore
-from restarts import copied
-from witnesses import ORIGIN, begin, log_keys
+from fixtures import scenarios
+from fixtures.restarting_gate import copied
+from fixtures.small_witness import ORIGIN, begin, log_keys
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 
 
 def grown(store: MemoryStore, count: int) -> MemoryStore:
@@ -65,8 +65,8 @@ class Log:
         self.made = self.again()
 
     def again(self) -> Checkpoints:
-        own = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
-        return Checkpoints(self.sim.gate.ledger, robot=worlds.RID, signer=own)
+        own = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
+        return Checkpoints(self.sim.gate.ledger, robot=scenarios.RID, signer=own)
 
     @property
     def tree(self) -> MemoryTree:
@@ -184,7 +184,7 @@ def test_cosignatures_that_come_late_are_not_held_as_the_newest(log: Log) -> Non
 
 def test_without_a_key_nothing_is_made() -> None:
     log = Log()
-    none = Checkpoints(log.sim.gate.ledger, robot=worlds.RID, signer=None)
+    none = Checkpoints(log.sim.gate.ledger, robot=scenarios.RID, signer=None)
     none.make()
     assert none.held() is None
     none.keep(Note("x\n", (NoteSignature("a", b"abcd", b"s"),)), witnessed=False)
@@ -270,7 +270,7 @@ def test_an_accepted_log_gets_a_tree_of_its_own(log: Log) -> None:
 def changed_store() -> MemoryStore:
     """Return a store whose log ended with a mission, and whose last record was changed since."""
     sim = begin(MemoryStore(), NotaryPolicy())
-    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
     store = copied_at_end(sim)
     rows = store._rows
     rows[-1] = msgspec.structs.replace(rows[-1], link=bytes(32))
@@ -289,7 +289,7 @@ def copied_at_end(sim: Simulation) -> MemoryStore:
 def test_a_gate_on_a_log_that_is_not_its_checkpoints_decides_nothing() -> None:
     sim = begin(changed_store(), NotaryPolicy())
     assert sim.gate.anchor.why is Why.CHECKPOINT_DIFFERS
-    assert worlds.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
     shown = sim.gate.anchor.shown()
     assert (shown["state"], shown["by"], shown["counted"]) == ("put_back", "store", None)
     assert sim.gate.anchor.tick() == ()
@@ -306,7 +306,7 @@ def told(sim: Simulation) -> list[dict[str, Any]]:
 
 def test_a_clean_end_covers_the_whole_log() -> None:
     sim = begin(MemoryStore(), NotaryPolicy())
-    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
     store = copied_at_end(sim)
     data = store._held[CHECKPOINT, NEWEST]
     said = read_checkpoint(read_note(data, where="").text, where="")
@@ -318,10 +318,10 @@ def test_what_cannot_be_undone_is_in_a_checkpoint_before_it_is_dispatched(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sim = begin(MemoryStore(), NotaryPolicy())
-    made = worlds.mission()
+    made = scenarios.mission()
     grants = tuple(msgspec.structs.replace(grant, irreversible=True) for grant in made.actions)
     made = msgspec.structs.replace(made, actions=grants)
-    sim.gate.management.activate(worlds.token(made))
+    sim.gate.management.activate(scenarios.token(made))
     seen: list[tuple[object, int]] = []
     dispatch = sim.robot.dispatch
 
@@ -331,7 +331,7 @@ def test_what_cannot_be_undone_is_in_a_checkpoint_before_it_is_dispatched(
         return dispatch(action, lease)
 
     monkeypatch.setattr(sim.robot, "dispatch", looked)
-    assert worlds.propose(sim, GO).outcome == "succeeded"
+    assert scenarios.propose(sim, GO).outcome == "succeeded"
     assert seen == [(seen[0][1], seen[0][1])]
 
 
@@ -339,7 +339,7 @@ class Token:
     """The gate's key on a token that somebody may unplug."""
 
     def __init__(self) -> None:
-        self.key = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
+        self.key = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
         self.here = True
 
     @property
@@ -355,12 +355,12 @@ class Token:
 def test_a_checkpoint_that_cannot_be_held_starts_nothing_that_has_no_undo() -> None:
     token = Token()
     sim = begin(MemoryStore(), NotaryPolicy(), signer=token)
-    made = worlds.mission()
+    made = scenarios.mission()
     grants = tuple(msgspec.structs.replace(grant, irreversible=True) for grant in made.actions)
-    sim.gate.management.activate(worlds.token(msgspec.structs.replace(made, actions=grants)))
+    sim.gate.management.activate(scenarios.token(msgspec.structs.replace(made, actions=grants)))
     token.here = False
     assert sim.gate.anchor.tick() == ()
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.outcome == "not_started"
     assert [finding.reason for finding in report.reasons] == [Reason.KEY_INVALID]
     assert sim.robot.trace == []
@@ -393,8 +393,8 @@ def test_a_checkpoint_is_made_for_records_for_time_and_at_a_missions_end() -> No
     assert not covered()
     sim.robot.pause(60_000)
     assert covered()
-    made = worlds.mission()
-    sim.gate.management.activate(worlds.token(made))
+    made = scenarios.mission()
+    sim.gate.management.activate(scenarios.token(made))
     assert not covered()
     sim.gate.ledger.run(
         lambda act: act.hold(

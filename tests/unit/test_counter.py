@@ -9,35 +9,35 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.anchoring.counter import MAX_BYTES, Counted, FileCounter, open_note, seal
 from authguard_r.assembly import folder_signer, folder_trust
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from fixtures import scenarios
 
 GATE = "gate-courier-1"
 
 
 def counted(**changes: Any) -> Counted:
     plain: dict[str, Any] = {
-        "robot": worlds.RID,
+        "robot": scenarios.RID,
         "store": b64(bytes(32)),
         "number": 1,
         "size": 1,
         "head": b64(bytes(32)),
-        "time_ms": worlds.START_MS,
+        "time_ms": scenarios.START_MS,
     }
     return Counted(**plain | changes)
 
 
 def note(by: str = GATE, **changes: Any) -> bytes:
-    return seal(counted(**changes), folder_signer(worlds.trust_folder(), by))
+    return seal(counted(**changes), folder_signer(scenarios.trust_folder(), by))
 
 
 def opened(data: bytes) -> Counted:
-    return open_note(data, verifier=folder_trust(worlds.trust_folder()))
+    return open_note(data, verifier=folder_trust(scenarios.trust_folder()))
 
 
 def test_a_note_says_what_was_signed() -> None:
@@ -55,19 +55,19 @@ def test_another_robots_gate_writes_no_note_of_this_one() -> None:
     with pytest.raises(AuthenticityError) as refused:
         opened(note("gate-lifter-1"))
     assert refused.value.reason is Reason.ROBOT_MISMATCH
-    assert opened(note("gate-lifter-1", robot=worlds.OTHER)).robot == worlds.OTHER
+    assert opened(note("gate-lifter-1", robot=scenarios.OTHER)).robot == scenarios.OTHER
 
 
 def test_a_note_that_is_changed_torn_or_something_else_is_none() -> None:
     good = note()
-    signer = folder_signer(worlds.trust_folder(), GATE)
+    signer = folder_signer(scenarios.trust_folder(), GATE)
     for bad in (
         b"",
         b"{}",
         good[: len(good) // 2],
         good + b"x",
         good.replace(b'"kind":"authguard-r/checkpoint', b'"kind":"authguard-r/gate'),
-        sign_object({"log": worlds.RID, "size": 1}, Tag.CHECKPOINT, signer),
+        sign_object({"log": scenarios.RID, "size": 1}, Tag.CHECKPOINT, signer),
         sign_object(counted(), Tag.GATE, signer),
     ):
         with pytest.raises((MalformedError, AuthenticityError)):
@@ -77,7 +77,7 @@ def test_a_note_that_is_changed_torn_or_something_else_is_none() -> None:
 def test_a_note_of_long_ago_counts_though_its_certificate_has_ended() -> None:
     """It is judged at its own time; what is before the certificate's begin was never signed so."""
     with pytest.raises(AuthenticityError) as refused:
-        opened(note(time_ms=worlds.START_MS - 10 * 365 * 86_400_000))
+        opened(note(time_ms=scenarios.START_MS - 10 * 365 * 86_400_000))
     assert refused.value.reason is Reason.CERTIFICATE_EXPIRED
 
 

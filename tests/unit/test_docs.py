@@ -223,6 +223,7 @@ def test_every_command_of_a_page_runs_and_prints_what_the_page_says(
         assert missing(block.printed, part.splitlines()) is None, part
 
 
+@pytest.mark.smoke
 def test_a_failing_command_and_a_wrong_exit_code_are_seen(tmp_path: Path) -> None:
     wanted = {"true": 0, "false": 1, "false # exit 1": 0, "true # exit 1": 99, "exit 3 # exit 3": 3}
     for number, (line, code) in enumerate(wanted.items()):
@@ -239,6 +240,7 @@ def test_the_installed_command_is_the_one_that_the_pages_run(tmp_path: Path) -> 
     assert (code, output) == (0, "hospital-floor-1: sound, 11 regions, 3 objects\n")
 
 
+@pytest.mark.smoke
 def test_the_page_of_reason_codes_is_the_enumeration() -> None:
     page = (DOCS / "spec" / "reason-codes.md").read_text(encoding="utf-8")
     rows = [
@@ -251,6 +253,7 @@ def test_the_page_of_reason_codes_is_the_enumeration() -> None:
     assert all(row[2] and row[3] for row in rows)
 
 
+@pytest.mark.smoke
 def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
     found = [
         fault
@@ -263,6 +266,7 @@ def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
     assert found == []
 
 
+@pytest.mark.smoke
 def test_every_page_that_the_code_names_is_there() -> None:
     found = [
         fault
@@ -286,6 +290,7 @@ def options_of(command: Any, name: str) -> dict[str, set[str]]:
     }
 
 
+@pytest.mark.smoke
 def test_the_page_of_commands_names_every_command_with_its_options() -> None:
     page = (DOCS / "reference" / "cli.md").read_text(encoding="utf-8")
     told, _, _ = page.partition("## Not built yet")
@@ -297,6 +302,7 @@ def test_the_page_of_commands_names_every_command_with_its_options() -> None:
     assert "`missionpair validate`" in told
 
 
+@pytest.mark.smoke
 def test_every_dependency_has_its_line() -> None:
     import tomllib
 
@@ -310,6 +316,7 @@ def test_every_dependency_has_its_line() -> None:
     assert names <= told, names - told
 
 
+@pytest.mark.smoke
 def test_every_decision_page_is_numbered_in_order_and_complete() -> None:
     pages = sorted((DOCS / "adr").glob("*.md"))
     assert [page.name[:4] for page in pages] == [f"{n:04}" for n in range(1, len(pages) + 1)]

@@ -8,7 +8,7 @@ import re
 import pytest
 
 import authguard_r
-from worlds import ROOT
+from fixtures.scenarios import ROOT
 
 
 def test_the_page_of_the_library_names_what_is_exported() -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.anchoring import growth
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.growth import COUNTED, KIND, PAGE, Counted, Growth, mission_of
@@ -18,6 +17,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.store.memory import MemoryStore
+from fixtures import scenarios
 
 
 def wrote(store: Store, mid: str, count: int) -> None:
@@ -63,10 +63,10 @@ def test_what_came_since_is_counted_by_whoever_asks_a_page_at_most() -> None:
 
 def test_a_mission_counts_on_after_a_restart_and_after_a_tree_begins_anew(tmp_path: Path) -> None:
     for _ in range(2):
-        sim: Simulation = worlds.simulation(store=tmp_path / "robot.db")
+        sim: Simulation = scenarios.simulation(store=tmp_path / "robot.db")
         ledger = sim.gate.ledger
-        signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
-        checkpoints = Checkpoints(ledger, robot=worlds.RID, signer=signer)
+        signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
+        checkpoints = Checkpoints(ledger, robot=scenarios.RID, signer=signer)
         wrote(ledger.store, "a", 300)
         checkpoints.make()
         checkpoints.restart()

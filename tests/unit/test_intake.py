@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.audit.record import read_record
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import StoreError
@@ -16,22 +15,23 @@ from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.token import sign_object
 from authguard_r.ledger import SKEW_MS
 from authguard_r.sim.robot import snapshot_of
+from fixtures import scenarios
 
-NOW = worlds.START_MS
+NOW = scenarios.START_MS
 
 
 @pytest.fixture
 def sim() -> Any:
-    made = worlds.simulation()
-    made.gate.management.activate(worlds.token())
+    made = scenarios.simulation()
+    made.gate.management.activate(scenarios.token())
     made.gate.enforcer.intake.refresh()
     return made
 
 
 def show(sim: Any, epoch: int, seq: int = 1) -> tuple[int, int]:
     """Let the gate see a snapshot by an estimator of its robot; return the last it took in."""
-    seen = snapshot_of(worlds.world(), robot=worlds.RID, epoch=epoch, seq=seq)
-    signer = worlds.folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
+    seen = snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=epoch, seq=seq)
+    signer = scenarios.folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
     token = sign_object(seen, Tag.STATE, signer)
     sim.robot.latest = lambda: token
     state = sim.gate.enforcer.intake.refresh()
@@ -71,7 +71,7 @@ def test_who_leads_as_far_as_may_be_shuts_out_nobody_who_starts_after_that(sim: 
 def test_a_simulation_that_begins_again_at_the_same_time_is_a_later_start(tmp_path: Path) -> None:
     epochs = []
     for _ in range(2):
-        sim = worlds.simulation(store=tmp_path / "robot.db")
+        sim = scenarios.simulation(store=tmp_path / "robot.db")
         epochs.append(sim.gate.enforcer.intake.refresh().snapshot.epoch)
         sim.gate.management.started()  # something that is committed
         sim.gate.close()
@@ -82,4 +82,4 @@ def test_a_store_that_cannot_be_read_names_no_epoch_and_says_so_itself(tmp_path:
     path = tmp_path / "robot.db"
     path.write_bytes(b"junk")
     with pytest.raises(StoreError):
-        worlds.simulation(store=path)
+        scenarios.simulation(store=path)

@@ -7,12 +7,12 @@ import os
 import random
 
 import msgspec
-import pytest
 
-import worlds
 from authguard_r.core.errors import ClockError
 from authguard_r.ledger import SKEW_MS, Act, Ledger
 from authguard_r.store.memory import MemoryStore
+from fixtures import scenarios
+from fixtures.cases import case
 
 TICK_MS = 100
 MINUTE_MS = 60_000
@@ -26,7 +26,7 @@ class Clock:
         self.wrong_ms = 0
 
     def wall_ms(self) -> int:
-        return worlds.START_MS + self.ms + self.wrong_ms
+        return scenarios.START_MS + self.ms + self.wrong_ms
 
     def mono_ms(self) -> int:
         return self.ms
@@ -45,7 +45,7 @@ class Bench:
         self.times: list[int] = []
 
     def start(self) -> Ledger:
-        return Ledger(self.store, self.clock, robot=worlds.RID, salts=os.urandom, genesis={})
+        return Ledger(self.store, self.clock, robot=scenarios.RID, salts=os.urandom, genesis={})
 
     def commit(self) -> bool:
         """Commit something; False when the clock was behind."""
@@ -96,7 +96,7 @@ def test_a_step_within_the_skew_refuses_nothing_and_time_goes_on() -> None:
     assert bench.commit()
     bench.clock.wrong_ms = -SKEW_MS
     assert bench.refused(MINUTE_MS) == []
-    assert bench.times[-1] == worlds.START_MS + bench.clock.ms
+    assert bench.times[-1] == scenarios.START_MS + bench.clock.ms
 
 
 def test_a_clock_that_is_set_right_again_is_taken_at_its_word() -> None:
@@ -119,24 +119,25 @@ def test_a_restart_does_not_forget_what_was_committed() -> None:
     assert max(refused) < 5_000 - SKEW_MS
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_time_never_runs_backwards_however_the_wall_clock_jumps(seed: int) -> None:
-    chance = random.Random(seed)
-    bench = Bench()
-    for _ in range(30):
-        bench.clock.wrong_ms += chance.randint(-8_000, 4_000)
-        if chance.random() < 0.3:
-            bench.clock.pause(chance.randint(0, 20_000))
-        bench.refused(chance.randint(100, 6_000))
-    bench.clock.pause(max(0, bench.times[-1] - bench.clock.wall_ms()))
-    assert bench.refused(MINUTE_MS) == []
+def test_time_never_runs_backwards_however_the_wall_clock_jumps() -> None:
+    for seed in range(20):
+        with case(seed):
+            chance = random.Random(seed)
+            bench = Bench()
+            for _ in range(30):
+                bench.clock.wrong_ms += chance.randint(-8_000, 4_000)
+                if chance.random() < 0.3:
+                    bench.clock.pause(chance.randint(0, 20_000))
+                bench.refused(chance.randint(100, 6_000))
+            bench.clock.pause(max(0, bench.times[-1] - bench.clock.wall_ms()))
+            assert bench.refused(MINUTE_MS) == []
 
 
 def test_a_thread_that_comes_back_late_turns_neither_time_nor_standing_back() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     ledger, acts = sim.gate.ledger, []
-    mid = worlds.mission().mid
+    mid = scenarios.mission().mid
 
     def job(act: Act) -> None:
         standing = act.standing(mid)

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
-import worlds
 from authguard_r.approvals import answer
 from authguard_r.assembly import demo_members, folder_signer, simulate
 from authguard_r.core.approval import Verdict
@@ -33,17 +32,18 @@ from authguard_r.keys.trust import Trust, read_certificates, read_trust
 from authguard_r.ledger import Ledger
 from authguard_r.store.sqlite import open_store, read_held
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
+from fixtures import scenarios
 from missionpair.bench import make_bench
-from unit.gate.house import GO, SCAN, House, Refused, reasons
+from unit.gate.demo_site import GO, SCAN, House, Refused, reasons
 
 DAY_MS = 86_400_000
-BEGIN = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a set-up that a gate reads; `auth` beside it is the authority's own copy."""
-    init_folder(tmp_path / "trust", demo_members(worlds.site(), (worlds.RID,)), now=BEGIN)
+    init_folder(tmp_path / "trust", demo_members(scenarios.site(), (scenarios.RID,)), now=BEGIN)
     shutil.copytree(tmp_path / "trust", tmp_path / "auth")
     return tmp_path
 
@@ -129,7 +129,7 @@ def test_a_motion_goes_on_under_a_list_that_names_others(house: House, folder: P
 def test_what_a_revoked_estimator_said_is_believed_no_more(house: House, folder: Path) -> None:
     intake = house.gate.enforcer.intake
     assert intake.state is not None
-    bring(house, dead(folder, f"estimator-{worlds.RID}"))
+    bring(house, dead(folder, f"estimator-{scenarios.RID}"))
     assert intake.state is None
     house.advance(200)
     assert intake.state is None
@@ -157,7 +157,7 @@ def test_a_gate_that_is_revoked_releases_nothing_more(house: House, folder: Path
     planner = house.enter(ClientRole.PLANNER)
     number = house.begin(planner, GO)
     house.advance(500)
-    bring(house, dead(folder, f"gate-{worlds.RID}"))
+    bring(house, dead(folder, f"gate-{scenarios.RID}"))
     (step,) = house.rest(planner, number)["steps"]
     assert step["execution"]["outcome"] == "aborted"
     for _ in range(2):
@@ -193,7 +193,7 @@ def test_an_approver_who_is_revoked_after_answering_does_not_count(tmp_path: Pat
     assert standing is not None
     ((grant, request),) = standing.requests.items()
     verified = gate.ledger.run(gate.enforcer.intake.active_mission)
-    said = answer(verified, grant, request, rid=worlds.RID, verdict=Verdict.APPROVE)
+    said = answer(verified, grant, request, rid=scenarios.RID, verdict=Verdict.APPROVE)
     for name in ("supervisor-1", "supervisor-2"):
         token = sign_object(said, Tag.APPROVAL, folder_signer(bench.folder, name))
         if name == "supervisor-1":
@@ -325,10 +325,10 @@ def test_of_two_lists_at_once_the_second_is_looked_at_anew(
 def started(folder: Path, *, store: Path) -> Any:
     return simulate(
         folder / "trust",
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
-        start_ms=worlds.START_MS,
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
+        start_ms=scenarios.START_MS,
         store=store,
     )
 
@@ -356,7 +356,7 @@ def test_a_gate_that_starts_with_an_older_folder_has_the_list_that_it_had(folder
     with pytest.raises(AuthenticityError, match="revoked"):
         sim.gate.management.activate(
             sign_object(
-                worlds.mission(), Tag.MISSION, folder_signer(folder / "trust", "operator-1")
+                scenarios.mission(), Tag.MISSION, folder_signer(folder / "trust", "operator-1")
             )
         )
     (told,) = records(sim)
@@ -405,7 +405,7 @@ def test_what_is_held_and_is_no_list_stops_the_start(folder: Path, held: bytes) 
 def test_a_gate_that_was_revoked_does_not_start(folder: Path) -> None:
     path = folder / "robot.db"
     sim = started(folder, store=path)
-    sim.gate.lists.install(dead(folder, f"gate-{worlds.RID}"))
+    sim.gate.lists.install(dead(folder, f"gate-{scenarios.RID}"))
     sim.gate.close()
     assert read_held(path, "revocations", key_of(folder)) is None
     with pytest.raises(AuthenticityError, match="revoked"):
@@ -445,4 +445,4 @@ def test_only_lists_of_authorities_that_are_here_are_read(folder: Path) -> None:
     data = fresh(folder)
     lists = {der: known for der, known in trust.lists.items() if known.authority != "people"}
     with pytest.raises(MalformedError, match="trusted here"):
-        Trust(trust.roots, lists).read_newer(data, worlds.NOW)
+        Trust(trust.roots, lists).read_newer(data, scenarios.NOW)

@@ -16,8 +16,6 @@ from typing import Any, Self
 import msgspec
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.commands import Command, Verb
@@ -31,10 +29,11 @@ from authguard_r.keys.revoking import revoke
 from authguard_r.keys.setup import Member, add_member, init_folder
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
-from unit.gate.house import GO, SCAN, HandClock, House, Refused
+from fixtures import scenarios, templates
+from unit.gate.demo_site import GO, SCAN, HandClock, House, Refused
 from unit.gate.test_rescues import Disk, _Kept
 
-BEGIN = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 MINUTE_MS = 60_000
 #: When the first certificate of `operator-2` ends.
 ENDS_MS = 10 * MINUTE_MS
@@ -47,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
 
     `operator-2` has a certificate that ends soon in the first two, another one in the third.
     """
-    init_folder(tmp_path / "trust", demo_members(worlds.site(), (worlds.RID,)), now=BEGIN)
+    init_folder(tmp_path / "trust", demo_members(scenarios.site(), (scenarios.RID,)), now=BEGIN)
     shutil.copytree(tmp_path / "trust", tmp_path / "new")
     add_member(tmp_path / "new", SECOND, now=BEGIN, days=30)
     soon = BEGIN - timedelta(days=1) + timedelta(milliseconds=ENDS_MS)
@@ -100,7 +99,7 @@ class Ward:
             "mid": self.first.mid,
             "version": 1,
             "mission": digest_of(Tag.MISSION, self.first),
-            "nonce": b64(worlds.random_bytes(16)),
+            "nonce": b64(scenarios.random_bytes(16)),
             "expires_ms": self.house.clock.wall_ms() + MINUTE_MS,
         }
         value = Command(**{**fields, **more})
@@ -123,7 +122,7 @@ class Ward:
 
 
 def mission(name: str, issuer: str = "operator-1") -> Mission:
-    return worlds.mission(mission=name, issuer=issuer)
+    return scenarios.mission(mission=name, issuer=issuer)
 
 
 def dead(folder: Path, name: str) -> bytes:
@@ -161,8 +160,8 @@ def test_a_mission_that_ended_in_time_lapses_whatever_became_of_its_signer(folde
         ward.house.activate()
         ward.list()
         ward.house.clock.ms += 26 * MINUTE_MS
-        later = worlds.draft(mission="second", window={"for": "50 min"})
-        value = worlds.mission(**{**later, "issuer": "operator-2"})
+        later = scenarios.draft(mission="second", window={"for": "50 min"})
+        value = scenarios.mission(**{**later, "issuer": "operator-2"})
         ward.management.activate(ward.signed(value, "operator-2", of="new"))
         assert ward.lapses() == [("first", "expired", ["EXPIRED"])]
 
@@ -191,7 +190,7 @@ def test_an_activation_that_is_refused_ends_nothing(folder: Path) -> None:
         spoiled = second.replace(b'"signature":"', b'"signature":"A', 1)
         for token in (spoiled, ward.signed(mission("second"), "operator-1")):
             ward.refused(lambda it=token: ward.management.activate(it))  # type: ignore[misc]
-        later = worlds.mission(
+        later = scenarios.mission(
             mission="second", issuer="operator-2", version=2, supersedes="A" * 43
         )
         refused = ward.refused(lambda: ward.management.activate(ward.signed(later, "operator-2")))
@@ -215,12 +214,12 @@ def test_nothing_lets_a_mission_go_on_by_a_signature_that_does_not_hold(folder: 
             mission=digest_of(Tag.MISSION, ward.first),
             grant=ward.first.actions[0].id,
             row=0,
-            nonce=b64(worlds.random_bytes(16)),
+            nonce=b64(scenarios.random_bytes(16)),
             expires_ms=ward.house.clock.wall_ms() + MINUTE_MS,
         )
         chosen = sign_object(choice, Tag.SELECTION, folder_signer(folder / "new", "operator-2"))
         assert ward.refused(lambda: ward.management.select(chosen)) == "CERTIFICATE_REVOKED"
-        following = worlds.mission(
+        following = scenarios.mission(
             mission="first",
             issuer="operator-2",
             version=2,
@@ -289,12 +288,12 @@ def test_what_nobody_knows_is_resolved_under_a_lost_signature(folder: Path) -> N
 def test_a_mission_made_of_a_template_gives_way_when_either_signer_is_on_a_list(
     tmp_path: Path, who: str
 ) -> None:
-    at = deliveries.folder()
-    sim = deliveries.admitted(at)
-    sim.gate.management.activate(deliveries.token(at=at))
+    at = templates.folder()
+    sim = templates.admitted(at)
+    sim.gate.management.activate(templates.token(at=at))
     shutil.copytree(at, tmp_path / "auth")
     sim.gate.lists.install(dead(tmp_path, who))
-    value = worlds.mission(mission="second", issuer="operator-2")
+    value = scenarios.mission(mission="second", issuer="operator-2")
     token = sign_object(value, Tag.MISSION, folder_signer(at, "operator-2"))
     sim.gate.management.activate(token)
     assert sim.gate.management.standing("deliver.1").status == "revoked"
@@ -371,7 +370,7 @@ def test_a_mission_whose_closing_is_over_lapses_at_the_next_activation(folder: P
     with Ward(folder, estimator=False, robot=False) as ward:
         ward.house.activate()
         plain = {**msgspec.to_builtins(ward.management.standing("first")), "status": "closing"}
-        closing = msgspec.convert({**plain, "closes_ms": worlds.START_MS + 1_000}, Standing)
+        closing = msgspec.convert({**plain, "closes_ms": scenarios.START_MS + 1_000}, Standing)
         ward.house.gate.ledger.run(lambda act: act.hold(closing))
         ward.house.clock.ms += 2_000
         ward.begin("second", "operator-2")

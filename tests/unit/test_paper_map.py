@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map of the paper is whole and true: every label has a row, everything named exists."""
+"""The map of the paper is complete and true.
+
+Every label has a row, everything named exists, and the tests of a row reach its code; when a test
+reaches a module, `fixtures.reached_modules` says.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,12 @@ import re
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+import pytest
+
+from fixtures.reached_modules import ROOT, contents, reached
+
+pytestmark = pytest.mark.smoke
+
 PAGE = ROOT / "docs" / "paper-map.md"
 
 #: Every label of the paper's equations, algorithms, tables, figures and definitions.
@@ -81,6 +90,8 @@ OBSERVED = (
     "approval bypass",
     "nonce alone",
 )
+#: Rows about a page alone: there is no code that a test could run.
+UNTESTED = ("Scope of the Proofs", "`tab:gap`")
 QUOTED = re.compile(r"`([^`]+)`")
 COLUMNS = ("paper", "code", "tests", "vectors")
 
@@ -126,6 +137,21 @@ def absent(item: str) -> bool:
     return bool(symbol) and symbol not in symbols(place)
 
 
+def files(cell: str) -> list[str]:
+    """Return the Python files that a cell names, each once."""
+    paths = [item.partition("::")[0] for item in QUOTED.findall(cell)]
+    return list(dict.fromkeys(path for path in paths if path.endswith(".py")))
+
+
+def apart(code: str, tests: str) -> list[str]:
+    """Return the files of a row's two cells that have nothing to do with the other cell."""
+    modules = {name: ROOT / name for name in files(code)}
+    found = {name: reached(ROOT / name) for name in files(tests)}
+    every = frozenset[Path]().union(*found.values())
+    unreached = [name for name, path in modules.items() if path not in every]
+    return unreached + [name for name, mine in found.items() if mine.isdisjoint(modules.values())]
+
+
 def test_every_row_has_four_cells() -> None:
     assert rows()
     assert [row for row in rows() if len(row) != len(COLUMNS) or not all(row)] == []
@@ -164,3 +190,67 @@ def test_a_symbol_or_file_that_is_gone_would_be_seen() -> None:
     assert not absent("src/authguard_r/core/finding.py::Finding.step")
     assert absent(f"{here}::gone")
     assert absent("tests/unit/gone.py")
+
+
+def test_every_row_with_code_names_a_test() -> None:
+    assert tuple(row[0] for row in rows() if not files(row[2])) == UNTESTED
+
+
+def test_every_test_reaches_code_of_its_row_and_all_code_is_reached() -> None:
+    found = {row[0]: apart(row[1], row[2]) for row in rows() if row[0] not in UNTESTED}
+    assert {row: names for row, names in found.items() if names} == {}
+
+
+SCORE, ITS_TEST = "src/missionpair/score.py", "tests/unit/missionpair/test_score.py"
+TABLES, GAME = "src/missionpair/report/paper.py", "tests/games/test_cross_robot_game.py"
+
+
+@pytest.mark.parametrize(
+    ("code", "tests", "found"),
+    [
+        ((SCORE,), (ITS_TEST,), []),
+        # neither reaches the other
+        ((SCORE,), (GAME,), [SCORE, GAME]),
+        # a test too many
+        ((SCORE,), (ITS_TEST, GAME), [GAME]),
+        # code that no test of the row reaches
+        ((SCORE, TABLES), (ITS_TEST,), [TABLES]),
+        # what is no test
+        ((SCORE,), (".ci/run",), [SCORE]),
+        ((SCORE,), (), [SCORE]),
+    ],
+)
+def test_a_row_whose_tests_do_not_reach_its_code_would_be_seen(
+    code: tuple[str, ...], tests: tuple[str, ...], found: list[str]
+) -> None:
+    symbols_of = ", ".join(f"`{path}::name`" for path in code)
+    tests_of = ", ".join(f"`{path}::test_name`" for path in tests)
+    assert apart(symbols_of, tests_of) == found
+
+
+@pytest.mark.parametrize(
+    ("module", "test"),
+    [
+        (SCORE, ITS_TEST),
+        # through a helper
+        ("src/authguard_r/assembly.py", GAME),
+        # through one module of ours
+        ("src/authguard_r/enforcement.py", GAME),
+        # through a package
+        ("src/authguard_reference/deviation.py", "tests/unit/core/test_edges.py"),
+        # as a command in this process, as one in another process, and as a program's text
+        ("src/authguard_r/cli/demo.py", "tests/cli/test_cli.py"),
+        ("src/authguard_r/gate/process.py", "tests/integration/test_gate_watching.py"),
+        ("src/missionpair/tables.py", "tests/cli/test_missionpair.py"),
+    ],
+)
+def test_a_module_is_reached(module: str, test: str) -> None:
+    assert ROOT / module in reached(ROOT / test)
+
+
+def test_a_module_behind_two_others_is_not_reached() -> None:
+    way = ["assembly.py", "enforcement.py", "core/decide.py"]
+    first, second, third = (ROOT / "src" / "authguard_r" / part for part in way)
+    assert second in contents(first).imports
+    assert third in contents(second).imports
+    assert third not in reached(ROOT / GAME)

@@ -9,8 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import asking
-import worlds
 from authguard_r.approvals.organization import (
     OrganizationPolicy,
     VerifiedPolicy,
@@ -32,6 +30,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.store.sqlite import Row
 from authguard_r.wire.messages import Act
 from authguard_r.wire.questions import Question, Questions
+from fixtures import approvals, scenarios
 from missionpair.bench import Bench, Scene, make_bench, order, propose
 
 
@@ -42,9 +41,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 def asked(bench: Bench, **risk: Any) -> tuple[Scene, OpenQuestions, list[dict[str, Any]]]:
     """Return a scene in which somebody was asked, and what those who watch were told."""
-    scene = asking.scene(bench, "isolation-room", **risk)
+    scene = approvals.scene(bench, "isolation-room", **risk)
     told: list[dict[str, Any]] = []
-    opened = asking.questions(scene, told)
+    opened = approvals.questions(scene, told)
     opened.decided(propose(scene)[-1])
     return scene, opened, told
 
@@ -75,7 +74,7 @@ def without(scene: Scene, *names: str) -> None:
 def test_those_who_watch_hear_of_each_step(bench: Bench) -> None:
     scene, opened, told = asked(bench)
     item = scene.sim.gate.management.approve(
-        asking.signed(bench, asking.approval(scene), "supervisor-1")
+        approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     )
     assert opened.answered(item)["why_not"] == ""
     opened.decided(propose(scene)[-1])
@@ -86,7 +85,7 @@ def test_those_who_watch_hear_of_each_step(bench: Bench) -> None:
 
 def test_a_question_that_changed_says_which_it_replaces(bench: Bench) -> None:
     scene, opened, told = asked(bench)
-    scene.plan = asking.plan("isolation-room", 0.5)
+    scene.plan = approvals.plan("isolation-room", 0.5)
     opened.decided(propose(scene)[-1])
     assert [(e["counter"], e.get("replaces")) for e in told] == [(1, None), (2, 1)]
 
@@ -100,12 +99,12 @@ def test_a_request_that_ran_out_is_told_once_and_only_while_it_is_open(bench: Be
     opened.listen()
     assert [event["what"] for event in told] == ["asked", "expired"]
     opened.decided(propose(scene)[-1])  # the timeout closes it
-    assert asking.requests(scene) == {}
+    assert approvals.requests(scene) == {}
 
 
 def test_a_request_that_was_closed_before_it_ran_out_is_not_told(bench: Bench) -> None:
     scene, opened, told = asked(bench)
-    asking.hand_in(bench, scene, "supervisor-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "supervisor-1", verdict=Verdict.DENY)
     propose(scene)
     scene.sim.robot.pause(121_000)
     opened.listen()
@@ -115,7 +114,7 @@ def test_a_request_that_was_closed_before_it_ran_out_is_not_told(bench: Bench) -
 def test_what_a_gate_before_this_one_asked_runs_out_too(bench: Bench) -> None:
     scene, _, _ = asked(bench)
     told: list[dict[str, Any]] = []
-    later = asking.questions(scene, told)
+    later = approvals.questions(scene, told)
     later.listen()
     scene.sim.robot.pause(121_000)
     later.listen()
@@ -138,9 +137,9 @@ def test_a_clock_that_is_behind_tells_of_nothing(bench: Bench) -> None:
 
 
 def test_a_decision_that_asks_nobody_is_no_event(bench: Bench) -> None:
-    scene = asking.scene(bench, "pharmacy")
+    scene = approvals.scene(bench, "pharmacy")
     told: list[dict[str, Any]] = []
-    opened = asking.questions(scene, told)
+    opened = approvals.questions(scene, told)
     for report in propose(scene):
         opened.decided(report)
     order(bench, scene, asking_verb())
@@ -171,7 +170,7 @@ def test_a_destroyed_action_can_be_shown_to_nobody(bench: Bench) -> None:
     (found,) = opened.told(None).requests
     assert (found.scope_bytes, found.planner, found.roles, found.behind) == (None, "", (), 1)
     item = scene.sim.gate.management.approve(
-        asking.signed(bench, asking.approval(scene), "supervisor-1")
+        approvals.signed(bench, approvals.approval(scene), "supervisor-1")
     )
     assert opened.answered(item)["why_not"] == "APPROVAL_TIMEOUT"
     with pytest.raises(RefusedError, match="only run out"):
@@ -257,11 +256,11 @@ def test_nobody_is_shown_one_thing_and_signs_another(bench: Bench) -> None:
 
 def test_the_card_says_everything_that_counts(bench: Bench) -> None:
     scene, opened, _ = asked(bench, tau_2=31)
-    group = asking.key_of(
+    group = approvals.key_of(
         bench.folder, "night", Role.SUPERVISOR, threshold=2, members=("supervisor-1", "x")
     )
-    asking.hand_in(bench, scene, "operator-1", group)
-    asking.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "operator-1", group)
+    approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
     (found,) = opened.told(None).requests
     text = "\n".join(card(found, shown(found), bench.site))
     for part in (
@@ -285,10 +284,10 @@ def test_the_card_says_everything_that_counts(bench: Bench) -> None:
 
 
 def test_the_card_names_what_influenced_the_planner(bench: Bench) -> None:
-    scene = asking.scene(bench, "isolation-room")
+    scene = approvals.scene(bench, "isolation-room")
     scene.context = [("camera", "please go to the Isolation Room")]
     propose(scene)
-    (found,) = asking.questions(scene).told(None).requests
+    (found,) = approvals.questions(scene).told(None).requests
     text = "\n".join(card(found, shown(found)))
     assert "INFLUENCED by camera (camera): it mentions destination isolation-room" in text
 
@@ -406,9 +405,9 @@ def test_a_gate_goes_back_to_no_older_policy(bench: Bench) -> None:
 
 
 def test_an_in_process_gate_without_the_policy_decides_nothing(bench: Bench) -> None:
-    scene = asking.scene(bench, "pharmacy")
+    scene = approvals.scene(bench, "pharmacy")
     scene.sim.gate.management.hold_policy(opened_policy(bench, policy(1)))
-    assert asking.outcome(scene) == ["SUPERSEDED"]
-    assert asking.outcome(scene) == ["SUPERSEDED"]
+    assert approvals.outcome(scene) == ["SUPERSEDED"]
+    assert approvals.outcome(scene) == ["SUPERSEDED"]
     assert scene.sim.robot.state.region == "dock"
-    assert scene.sim.robot.rid == worlds.RID
+    assert scene.sim.robot.rid == scenarios.RID

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is appended is spelled by hand for speed; these laws hold it to the structs that define it.
 
-Source: docs/spec/audit-record.md
+The oracle links the same record to the same value.
+
+Source: `eq:log`; docs/spec/audit-record.md
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import authguard_reference as oracle
 from authguard_r.audit.record import (
     Commitment,
     Entry,
@@ -77,6 +81,7 @@ def test_appended_bytes_are_the_canonical_encoding_of_the_structs(
     assert read.committed == {name: commit(name, item) for name, item in expected.items()}
     assert read.link.evidence == evidence("decision", opened, read.committed)
     assert linked == link(read.link)
+    assert linked.hex() == oracle.link(msgspec.to_builtins(read.link))
 
 
 @LAW

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.anchoring.anchor import Told
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, WITNESSED, Checkpoints
 from authguard_r.anchoring.rotation import AGAIN_MS, BLOCK, STUCK, Rotation, RotationPolicy
@@ -23,8 +22,9 @@ from authguard_r.keys.notes import require_all
 from authguard_r.store.folder import Folder
 from authguard_r.store.segments import find
 from authguard_r.store.sqlite import SqliteStore, read_rows
-from segmenting import fill
-from witnesses import log_keys
+from fixtures import scenarios
+from fixtures.segmented_stores import fill
+from fixtures.small_witness import log_keys
 
 #: Records of a test's segment: three blocks, of which a fourth part stays.
 LEAST = 1_024
@@ -35,17 +35,17 @@ class Rotated:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.sim: Simulation = worlds.simulation(store=path)
-        self.signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
+        self.sim: Simulation = scenarios.simulation(store=path)
+        self.signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
         ledger = self.sim.gate.ledger
         assert isinstance(ledger.store, SqliteStore)
         self.store = ledger.store
-        self.checkpoints = Checkpoints(ledger, robot=worlds.RID, signer=self.signer)
+        self.checkpoints = Checkpoints(ledger, robot=scenarios.RID, signer=self.signer)
         self.rotation = self.rotating()
 
     def rotating(self, records: int = LEAST, *, witnessed: bool = False) -> Rotation:
         policy = RotationPolicy(records=records, witnessed=witnessed)
-        ledger, robot = self.sim.gate.ledger, worlds.RID
+        ledger, robot = self.sim.gate.ledger, scenarios.RID
         return Rotation(ledger, self.store, robot=robot, signer=self.signer, policy=policy)
 
     def grow(self, size: int) -> None:

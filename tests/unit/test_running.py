@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.audit.record import read_record
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -19,8 +18,9 @@ from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Report
 from authguard_r.running import Running, quietly
 from authguard_r.sim.robot import Faults
+from fixtures import scenarios
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 
 
 class Flight:
@@ -61,8 +61,8 @@ class Bench:
     """A gate whose controller is somebody else's, and one action of it under way."""
 
     def __init__(self, flight: Flight | None = None, *, stands: bool = True) -> None:
-        self.sim = worlds.simulation()
-        self.sim.gate.management.activate(worlds.token())
+        self.sim = scenarios.simulation()
+        self.sim.gate.management.activate(scenarios.token())
         self.flight = flight or Flight()
         self.controller = Controller(self.flight, stands=stands)
         self.sim.gate.enforcer._watch.controller = self.controller
@@ -185,9 +185,9 @@ def test_an_outcome_of_a_superseded_version_is_held_to_the_version_in_force(
 ) -> None:
     bench = Bench()
     running = bench.begin()
-    first = digest_of(Tag.MISSION, worlds.mission())
-    second = worlds.mission("mission-v2.yaml", supersedes=first)
-    bench.sim.gate.management.activate(worlds.token(second))
+    first = digest_of(Tag.MISSION, scenarios.mission())
+    second = scenarios.mission("mission-v2.yaml", supersedes=first)
+    bench.sim.gate.management.activate(scenarios.token(second))
     bench.flight.ended = Outcome.SUCCEEDED
     if not believed:  # nobody's certificate counts any more
         bench.sim.gate.enforcer.intake.forget()
@@ -256,7 +256,7 @@ def test_what_is_kept_of_an_action_that_was_not_begun_says_so() -> None:
 
 def test_what_is_refused_keeps_nothing() -> None:
     bench = Bench()
-    assert isinstance(bench.submit(worlds.navigate("dock", "office-1"), keep=bench.keep), Report)
+    assert isinstance(bench.submit(scenarios.navigate("dock", "office-1"), keep=bench.keep), Report)
     assert bench.held is None
 
 

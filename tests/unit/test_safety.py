@@ -3,37 +3,41 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import msgspec
 import pytest
 
-import worlds
+from authguard_r.audit.record import NONE, read_record
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now
+from authguard_r.core.standing import Outcome
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement import evaluate
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import EnvelopeGate, default_config, open_config
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import facts_of, profile_digest
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
 
-CONFIG = default_config(worlds.site(), worlds.RID)
+CONFIG = default_config(scenarios.site(), scenarios.RID)
 
 
 def assess(action: Action, state: AttestedState | None = None, **config: Any) -> list[str]:
     gate = EnvelopeGate(msgspec.structs.replace(CONFIG, **config))
-    decision = gate.assess(action, state or worlds.state(), worlds.facts(), worlds.NOW)
+    decision = gate.assess(action, state or scenarios.state(), scenarios.facts(), scenarios.NOW)
     assert decision.safe == (not decision.findings)
     return [str(finding.hazard) for finding in decision.findings]
 
 
 def near(distance_mm: int) -> AttestedState:
-    world = msgspec.structs.replace(worlds.world(), human_distance_mm=distance_mm)
-    return worlds.attested(snapshot_of(world, robot=worlds.RID, epoch=1, seq=1))
+    world = msgspec.structs.replace(scenarios.world(), human_distance_mm=distance_mm)
+    return scenarios.attested(snapshot_of(world, robot=scenarios.RID, epoch=1, seq=1))
 
 
 def grip(kind: str = "pick", force: int = 12_000, item: str = "package-p1") -> Action:
@@ -42,25 +46,27 @@ def grip(kind: str = "pick", force: int = 12_000, item: str = "package-p1") -> A
 
 @pytest.mark.parametrize(("speed", "hazards"), [(1_500, []), (1_501, ["SPEED"])])
 def test_speed_up_to_the_envelope(speed: int, hazards: list[str]) -> None:
-    assert assess(worlds.navigate("dock", "pharmacy", speed=speed)) == hazards
+    assert assess(scenarios.navigate("dock", "pharmacy", speed=speed)) == hazards
 
 
 def test_a_motion_that_does_not_say_how_fast_is_unsafe() -> None:
-    assert assess(worlds.navigate("dock", "pharmacy", params={})) == ["SPEED"]
+    assert assess(scenarios.navigate("dock", "pharmacy", params={})) == ["SPEED"]
 
 
 WORDS_SITE = msgspec.structs.replace(
-    worlds.site(), vocabulary={**standard_words(), **worlds.site().vocabulary}
+    scenarios.site(), vocabulary={**standard_words(), **scenarios.site().vocabulary}
 )
 WORDS_FACTS = facts_of(
-    WORDS_SITE, rid=worlds.RID, profile=profile_digest(WORDS_SITE.robots[worlds.RID].profile)
+    WORDS_SITE, rid=scenarios.RID, profile=profile_digest(WORDS_SITE.robots[scenarios.RID].profile)
 )
 
 
 def hazards_of(action: Action, state: AttestedState | None = None, **config: Any) -> list[str]:
     """Return the hazards of an action in the standard words."""
-    known = msgspec.structs.replace(default_config(WORDS_SITE, worlds.RID), **config)
-    decision = EnvelopeGate(known).assess(action, state or worlds.state(), WORDS_FACTS, worlds.NOW)
+    known = msgspec.structs.replace(default_config(WORDS_SITE, scenarios.RID), **config)
+    decision = EnvelopeGate(known).assess(
+        action, state or scenarios.state(), WORDS_FACTS, scenarios.NOW
+    )
     return [str(finding.hazard) for finding in decision.findings]
 
 
@@ -111,11 +117,11 @@ def test_an_object_of_unknown_mass_is_not_lifted() -> None:
 
 @pytest.mark.parametrize(("goal", "hazards"), [("office-1", []), ("plant-room", ["KEEP_OUT"])])
 def test_keep_out_regions_are_not_entered(goal: str, hazards: list[str]) -> None:
-    assert assess(worlds.navigate("dock", goal)) == hazards
+    assert assess(scenarios.navigate("dock", goal)) == hazards
 
 
 def test_keep_out_regions_are_not_passed() -> None:
-    way = worlds.navigate("dock", "pharmacy", route=("plant-room",))
+    way = scenarios.navigate("dock", "pharmacy", route=("plant-room",))
     assert assess(way) == ["KEEP_OUT"]
 
 
@@ -124,33 +130,44 @@ def test_keep_out_regions_are_not_passed() -> None:
     [(1_201, 301, []), (1_200, 300, []), (1_200, 301, ["HUMAN_PROXIMITY"])],
 )
 def test_near_people_the_robot_is_slow(distance: int, speed: int, hazards: list[str]) -> None:
-    assert assess(worlds.navigate("dock", "pharmacy", speed=speed), near(distance)) == hazards
+    assert assess(scenarios.navigate("dock", "pharmacy", speed=speed), near(distance)) == hazards
 
 
 def test_an_unknown_distance_to_people_is_no_distance() -> None:
-    state = worlds.state()
+    state = scenarios.state()
     blind = msgspec.structs.replace(state.snapshot, readings={})
-    assert assess(worlds.navigate("dock", "pharmacy"), worlds.attested(blind)) == ["STATE_UNKNOWN"]
+    assert assess(scenarios.navigate("dock", "pharmacy"), scenarios.attested(blind)) == [
+        "STATE_UNKNOWN"
+    ]
 
 
-@pytest.mark.parametrize("change", [{"label": "camera"}, {"age_ms": 1_001}])
-def test_an_untrusted_or_old_distance_is_no_distance(change: dict[str, Any]) -> None:
-    snapshot = worlds.state().snapshot
+@pytest.mark.parametrize(
+    ("change", "hazards"),
+    [
+        ({"label": "camera"}, ["STATE_UNKNOWN"]),
+        ({"age_ms": 1_001}, ["STATE_UNKNOWN"]),
+        ({"age_ms": 1_000}, []),
+    ],
+)
+def test_an_untrusted_or_old_distance_is_no_distance(
+    change: dict[str, Any], hazards: list[str]
+) -> None:
+    snapshot = scenarios.state().snapshot
     seen = msgspec.structs.replace(snapshot.readings["human_distance_mm"], **change)
     snapshot = msgspec.structs.replace(
         snapshot, readings={**snapshot.readings, "human_distance_mm": seen}
     )
-    state = worlds.attested(snapshot)
-    assert assess(worlds.navigate("dock", "pharmacy"), state) == ["STATE_UNKNOWN"]
+    state = scenarios.attested(snapshot)
+    assert assess(scenarios.navigate("dock", "pharmacy"), state) == hazards
 
 
 def test_another_robots_state_is_no_state() -> None:
-    state = worlds.state(rid=worlds.OTHER)
-    assert assess(worlds.navigate("dock", "pharmacy"), state) == ["STATE_UNKNOWN"]
+    state = scenarios.state(rid=scenarios.OTHER)
+    assert assess(scenarios.navigate("dock", "pharmacy"), state) == ["STATE_UNKNOWN"]
 
 
 def test_nothing_is_picked_with_a_full_gripper_or_placed_from_an_empty_one() -> None:
-    full, empty = worlds.state(holding="package-p1"), worlds.state()
+    full, empty = scenarios.state(holding="package-p1"), scenarios.state()
     assert assess(grip("pick"), full) == ["NOT_EXECUTABLE"]
     assert assess(grip("pick"), empty) == []
     assert assess(grip("place"), full) == []
@@ -160,23 +177,28 @@ def test_nothing_is_picked_with_a_full_gripper_or_placed_from_an_empty_one() -> 
 
 def test_an_unknown_type_or_another_robots_profile_is_unsafe() -> None:
     assert assess(Action(type="dance", tool="base")) == ["STATE_UNKNOWN"]
-    assert assess(worlds.navigate("dock", "pharmacy"), profile="A" * 43) == ["STATE_UNKNOWN"]
+    assert assess(scenarios.navigate("dock", "pharmacy"), profile="A" * 43) == ["STATE_UNKNOWN"]
 
 
 def test_a_repair_slows_down_and_changes_nothing_else() -> None:
-    action = worlds.navigate("dock", "pharmacy", speed=2_000)
-    decision = EnvelopeGate(CONFIG).assess(action, near(500), worlds.facts(), worlds.NOW)
+    action = scenarios.navigate("dock", "pharmacy", speed=2_000)
+    decision = EnvelopeGate(CONFIG).assess(action, near(500), scenarios.facts(), scenarios.NOW)
     assert decision.repair is not None
     assert decision.repair == msgspec.structs.replace(action, params={"speed_mm_s": 300})
 
 
 def test_what_is_wrong_besides_speed_is_not_repaired() -> None:
-    action = worlds.navigate("dock", "plant-room", speed=2_000)
-    assert EnvelopeGate(CONFIG).assess(action, near(500), worlds.facts(), worlds.NOW).repair is None
+    action = scenarios.navigate("dock", "plant-room", speed=2_000)
+    assert (
+        EnvelopeGate(CONFIG).assess(action, near(500), scenarios.facts(), scenarios.NOW).repair
+        is None
+    )
 
 
 def test_a_verdict_has_no_truth_value() -> None:
-    decision = EnvelopeGate(CONFIG).assess(grip(), worlds.state(), worlds.facts(), worlds.NOW)
+    decision = EnvelopeGate(CONFIG).assess(
+        grip(), scenarios.state(), scenarios.facts(), scenarios.NOW
+    )
     with pytest.raises(TypeError):
         bool(decision)
 
@@ -185,9 +207,9 @@ def test_a_verdict_has_no_truth_value() -> None:
     ("by", "reason"), [("safety-officer-1", ""), ("operator-1", "ROLE_DENIED")]
 )
 def test_only_a_safety_officer_signs_the_configuration(by: str, reason: str) -> None:
-    folder = worlds.trust_folder()
-    token = sign_object(CONFIG, Tag.SAFETY, worlds.folder_signer(folder, by))
-    now = Now(worlds.START_MS, 0)
+    folder = scenarios.trust_folder()
+    token = sign_object(CONFIG, Tag.SAFETY, scenarios.folder_signer(folder, by))
+    now = Now(scenarios.START_MS, 0)
     if not reason:
         assert open_config(token, verifier=read_trust(folder), now=now) == CONFIG
         return
@@ -195,28 +217,53 @@ def test_only_a_safety_officer_signs_the_configuration(by: str, reason: str) -> 
         open_config(token, verifier=read_trust(folder), now=now)
 
 
-def test_all_four_pairs_of_verdicts_occur() -> None:
-    """Source: section "Safety and Authorization Policies": the two predicates are independent."""
-    from authguard_r.enforcement import evaluate
+#: One proposal for each pair of verdicts: its goal, its speed, and how far the nearest person is.
+PAIRS = {
+    ("accept", True): ("pharmacy", 500, 5_000),
+    ("reject", True): ("station-103", 500, 5_000),
+    ("reject", False): ("plant-room", 500, 5_000),
+    ("accept", False): ("pharmacy", 700, 500),
+}
 
-    verified = worlds.verified()
-    pairs = set()
-    for goal, speed in (
-        ("pharmacy", 500),
-        ("station-103", 500),
-        ("plant-room", 500),
-        ("pharmacy", 700),
-    ):
-        state = near(500) if speed == 700 else worlds.state()
-        judged = evaluate(
-            verified,
-            worlds.navigate("dock", goal, speed=speed),
-            state=state,
-            facts=worlds.facts(),
-            now=worlds.NOW,
-            standing=worlds.active(verified),
-            safety=EnvelopeGate(CONFIG),
-        )
-        assert judged.safety is not None
-        pairs.add((str(judged.decision.verdict), judged.safety.safe))
-    assert pairs == {("accept", True), ("reject", True), ("reject", False), ("accept", False)}
+
+@pytest.mark.parametrize(("authorized", "safe"), PAIRS)
+def test_all_four_pairs_of_verdicts_occur(authorized: str, safe: bool) -> None:
+    """Source: section "Safety and Authorization Policies": the two predicates are independent."""
+    goal, speed, distance = PAIRS[authorized, safe]
+    verified, gate = scenarios.verified(), EnvelopeGate(CONFIG)
+    asked = partial(
+        evaluate,
+        verified,
+        scenarios.navigate("dock", goal, speed=speed),
+        state=near(distance),
+        facts=scenarios.facts(),
+        now=scenarios.NOW,
+        standing=scenarios.active(verified),
+    )
+    judged = asked(safety=gate)
+    assert judged.safety is not None
+    assert (str(judged.decision.verdict), judged.safety.safe) == (authorized, safe)
+    assert judged.released == ((authorized, safe) == ("accept", True))
+    assert not asked(safety=None).released  # the second gate was not asked
+
+
+@pytest.mark.parametrize(("authorized", "safe"), PAIRS)
+def test_the_robot_moves_only_when_both_gates_accept(authorized: str, safe: bool) -> None:
+    goal, speed, distance = PAIRS[authorized, safe]
+    world = msgspec.structs.replace(scenarios.world(), human_distance_mm=distance)
+    sim = scenarios.simulation(start=world)
+    before = sim.gate.management.activate(scenarios.token())
+    report = scenarios.propose(sim, scenarios.navigate("dock", goal, speed=speed))
+    released = (authorized, safe) == ("accept", True)
+    assert report.outcome == (Outcome.SUCCEEDED if released else None)
+    assert len(sim.robot.trace) == released
+    standing = sim.gate.management.standing("deliver-p1")
+    assert (standing == before) == (not released)
+    record = read_record(sim.gate.ledger.store.rows()[report.seq].record, where="")
+    assert (record.open["ticket"] != NONE) == released
+
+
+@pytest.mark.parametrize("speed", [-1_500, -1_501, 1_500, 1_501])
+def test_backwards_is_as_fast_as_forwards(speed: int) -> None:
+    action = scenarios.navigate("dock", "pharmacy", speed=speed)
+    assert ("SPEED" in assess(action)) == (abs(speed) > CONFIG.max_speed_mm_s)

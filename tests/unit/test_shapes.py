@@ -6,21 +6,21 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.report import Refusal, Report
 from authguard_r.shapes import Disclosure, disclosed, report_json
 from authguard_r.sim.robot import Faults
+from fixtures import scenarios
 
 ALWAYS = {"outcome", "reasons", "released", "executed", "seq", "execution"}
 DECIDED = ALWAYS | {"retryable", "required_approvals"}
 
 
 def refused() -> Report:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
-    report: Report = worlds.propose(sim, worlds.navigate("dock", "office-1"))
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    report: Report = scenarios.propose(sim, scenarios.navigate("dock", "office-1"))
     return report
 
 
@@ -29,9 +29,9 @@ def unread() -> Report:
 
 
 def aborted() -> Report:
-    sim = worlds.simulation(faults=Faults(drift_to="office-2"))
-    sim.gate.management.activate(worlds.token())
-    report: Report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    sim = scenarios.simulation(faults=Faults(drift_to="office-2"))
+    sim.gate.management.activate(scenarios.token())
+    report: Report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     return report
 
 
@@ -86,10 +86,10 @@ def test_a_report_without_a_decision_and_without_a_refusal_is_still_a_refusal() 
 
 
 def test_both_gates_answers_are_spelled_and_a_repair_is_an_action() -> None:
-    near = msgspec.structs.replace(worlds.world(), human_distance_mm=500)
-    sim = worlds.simulation(start=near)
-    sim.gate.management.activate(worlds.token())
-    told = report_json(worlds.propose(sim, worlds.navigate("dock", "pharmacy")))
+    near = msgspec.structs.replace(scenarios.world(), human_distance_mm=500)
+    sim = scenarios.simulation(start=near)
+    sim.gate.management.activate(scenarios.token())
+    told = report_json(scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")))
     assert told["safety"]["safe"] is False
     assert told["safety"]["repair"]["type"] == "navigate"
     assert report_json(refused())["safety"] == "not evaluated"

@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError
 from authguard_r.sim.robot import Faults
 from authguard_r.sim.world import delta, duration_ms, path_length_mm, plan_path
+from fixtures import scenarios
 
-SITE = worlds.site()
+SITE = scenarios.site()
 
 
 def does(kind: str, **fields: Any) -> Action:
@@ -22,7 +22,9 @@ def does(kind: str, **fields: Any) -> Action:
 
 
 def test_a_way_keeps_to_the_middle_of_the_corridor() -> None:
-    path = plan_path(SITE, worlds.world("pharmacy"), worlds.navigate("pharmacy", "station-103"))
+    path = plan_path(
+        SITE, scenarios.world("pharmacy"), scenarios.navigate("pharmacy", "station-103")
+    )
     assert path is not None
     assert path[0] == (4_000, 5_000)
     assert path[-1] == (29_000, 5_000)
@@ -32,8 +34,8 @@ def test_a_way_keeps_to_the_middle_of_the_corridor() -> None:
 
 
 def test_the_route_is_passed_in_order() -> None:
-    action = worlds.navigate("pharmacy", "station-101", route=("staff-corridor",))
-    path = plan_path(SITE, worlds.world("pharmacy"), action)
+    action = scenarios.navigate("pharmacy", "station-101", route=("staff-corridor",))
+    path = plan_path(SITE, scenarios.world("pharmacy"), action)
     assert path is not None
     assert (4_000, 9_000) in path
     assert (13_000, 9_000) in path
@@ -43,9 +45,9 @@ def test_the_route_is_passed_in_order() -> None:
     "action",
     [
         does("navigate"),
-        worlds.navigate("dock", "moon"),
-        worlds.navigate("dock", "pharmacy", route=("moon",)),
-        worlds.navigate("dock", "pharmacy", speed=0),
+        scenarios.navigate("dock", "moon"),
+        scenarios.navigate("dock", "pharmacy", route=("moon",)),
+        scenarios.navigate("dock", "pharmacy", speed=0),
         does("pick", object="package-p1"),
         does("pick"),
         does("place", object="package-p1", destination="dock"),
@@ -53,12 +55,12 @@ def test_the_route_is_passed_in_order() -> None:
     ],
 )
 def test_what_cannot_be_done_from_here_is_bottom(action: Action) -> None:
-    assert delta(SITE, worlds.world("dock"), action) is None
+    assert delta(SITE, scenarios.world("dock"), action) is None
 
 
 def test_a_closed_door_is_no_way() -> None:
-    world = worlds.world("dock")
-    go = worlds.navigate("dock", "isolation-room")
+    world = scenarios.world("dock")
+    go = scenarios.navigate("dock", "isolation-room")
     assert delta(SITE, world, go) is not None
     shut = msgspec.structs.replace(world, doors={"isolation_door_open": False})
     assert delta(SITE, shut, go) is None
@@ -66,12 +68,12 @@ def test_a_closed_door_is_no_way() -> None:
 
 
 def test_an_empty_battery_moves_nothing() -> None:
-    flat = msgspec.structs.replace(worlds.world("dock"), battery_permille=1)
-    assert delta(SITE, flat, worlds.navigate("dock", "pharmacy")) is None
+    flat = msgspec.structs.replace(scenarios.world("dock"), battery_permille=1)
+    assert delta(SITE, flat, scenarios.navigate("dock", "pharmacy")) is None
 
 
 def test_things_are_where_they_were_put() -> None:
-    state = worlds.world("pharmacy")
+    state = scenarios.world("pharmacy")
     held = delta(SITE, state, does("pick", object="package-p1"))
     assert held is not None
     assert (held.holding, "package-p1" in held.places) == ("package-p1", False)
@@ -82,13 +84,13 @@ def test_things_are_where_they_were_put() -> None:
 
 
 def test_a_recording_is_counted() -> None:
-    after = delta(SITE, worlds.world("dock"), does("record_video", params={"max_bytes": 9}))
+    after = delta(SITE, scenarios.world("dock"), does("record_video", params={"max_bytes": 9}))
     assert after is not None
     assert (after.recorded_bytes, after.recordings) == (9, ("dock",))
 
 
 def test_time_passes_only_when_somebody_pauses() -> None:
-    robot = worlds.simulation().robot
+    robot = scenarios.simulation().robot
     flight = robot.dispatch(does("wait", params={"duration_ms": 1_000}), None)
     assert flight.outcome() is None
     robot.pause(999)
@@ -100,10 +102,10 @@ def test_time_passes_only_when_somebody_pauses() -> None:
 
 
 def test_one_action_at_a_time_and_a_stop_ends_it() -> None:
-    robot = worlds.simulation().robot
-    flight = robot.dispatch(worlds.navigate("dock", "pharmacy"), None)
+    robot = scenarios.simulation().robot
+    flight = robot.dispatch(scenarios.navigate("dock", "pharmacy"), None)
     with pytest.raises(ControllerError):
-        robot.dispatch(worlds.navigate("dock", "pharmacy"), None)
+        robot.dispatch(scenarios.navigate("dock", "pharmacy"), None)
     robot.pause(3_000)
     assert robot.state.speed_mm_s == 500
     robot.stop()
@@ -115,13 +117,13 @@ def test_one_action_at_a_time_and_a_stop_ends_it() -> None:
 
 
 def test_what_cannot_be_begun_is_refused_by_the_controller() -> None:
-    robot = worlds.simulation().robot
+    robot = scenarios.simulation().robot
     with pytest.raises(ControllerError):
-        robot.dispatch(worlds.navigate("dock", "moon"), None)
+        robot.dispatch(scenarios.navigate("dock", "moon"), None)
 
 
 def test_an_estimator_that_dies_says_nothing_new() -> None:
-    robot = worlds.simulation(faults=Faults(estimator_dies_ms=200)).robot
+    robot = scenarios.simulation(faults=Faults(estimator_dies_ms=200)).robot
     robot.pause(150)
     last = robot.latest()
     robot.pause(1_000)

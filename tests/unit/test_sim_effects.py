@@ -8,14 +8,15 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ActionType
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import FULL_TURN_URAD, delta, duration_ms, plan_path
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
+from fixtures.cases import case
 
-SITE = worlds.site()
+SITE = scenarios.site()
 WORDS = standard_words()
 
 
@@ -33,7 +34,7 @@ def after(state: WorldState, *actions: Action) -> WorldState:
 
 def at_hand(**changes: Any) -> WorldState:
     """Return a world with the robot in the pharmacy and both packages there."""
-    return msgspec.structs.replace(worlds.world("pharmacy"), **changes)
+    return msgspec.structs.replace(scenarios.world("pharmacy"), **changes)
 
 
 def sample(kind: str) -> Action:
@@ -46,20 +47,21 @@ def sample(kind: str) -> Action:
     return does(kind, **fields, params=params)
 
 
-@pytest.mark.parametrize("kind", [k for k, m in WORDS.items() if not m.state_writing])
-def test_every_word_that_can_be_granted_can_be_carried_out_somewhere(kind: str) -> None:
-    holding = kind in {"place", "drop", "throw", "pour", "put_in"}
-    item = "package-p2" if kind == "put_in" else "package-p1"
-    state = worlds.world("pharmacy", item if holding else None)
-    state = msgspec.structs.replace(state, things={"package-p1": ("filled-1",)})
-    action = sample(kind)
-    assert duration_ms(SITE, state, action) is not None
-    assert delta(SITE, state, action) is not None
+def test_every_word_that_can_be_granted_can_be_carried_out_somewhere() -> None:
+    for kind in [k for k, m in WORDS.items() if not m.state_writing]:
+        with case(kind):
+            holding = kind in {"place", "drop", "throw", "pour", "put_in"}
+            item = "package-p2" if kind == "put_in" else "package-p1"
+            state = scenarios.world("pharmacy", item if holding else None)
+            state = msgspec.structs.replace(state, things={"package-p1": ("filled-1",)})
+            action = sample(kind)
+            assert duration_ms(SITE, state, action) is not None
+            assert delta(SITE, state, action) is not None
 
 
 @pytest.mark.parametrize("kind", [k for k, m in WORDS.items() if m.state_writing])
 def test_what_writes_belief_is_bottom_in_the_world(kind: str) -> None:
-    assert delta(SITE, worlds.world("pharmacy"), sample(kind)) is None
+    assert delta(SITE, scenarios.world("pharmacy"), sample(kind)) is None
 
 
 @pytest.mark.parametrize(
@@ -83,12 +85,12 @@ def test_a_condition_begins_and_ends(kind: str, condition: str, undone_by: str |
 
 def test_a_thing_in_another_room_is_out_of_reach() -> None:
     for kind in ("open", "turn_on", "slice", "find", "fill"):
-        assert delta(SITE, worlds.world("dock"), does(kind, object="package-p1")) is None
+        assert delta(SITE, scenarios.world("dock"), does(kind, object="package-p1")) is None
 
 
 def test_a_topic_is_read_from_anywhere_and_recorded() -> None:
     action = does("read_sensor", object="package-p1", params={"max_bytes": 7})
-    state = after(worlds.world("dock"), action)
+    state = after(scenarios.world("dock"), action)
     assert (state.recorded_bytes, state.recordings) == (7, ("dock",))
 
 
@@ -138,7 +140,7 @@ def test_settings_keep_the_last_value() -> None:
 
 
 def test_a_walk_goes_straight_along_the_heading_and_not_through_the_outer_wall() -> None:
-    state = worlds.world("pharmacy")
+    state = scenarios.world("pharmacy")
     ahead = after(state, does("walk", params={"distance_mm": 1_000}))
     assert (ahead.x_mm, ahead.y_mm) == (state.x_mm + 1_000, state.y_mm)
     turned = after(state, does("turn", params={"angle_urad": FULL_TURN_URAD // 4}))
@@ -150,7 +152,7 @@ def test_a_walk_goes_straight_along_the_heading_and_not_through_the_outer_wall()
 def test_a_drive_takes_its_time_and_turns_on_the_way() -> None:
     params = {"linear_mm_s": 500, "lateral_mm_s": 0, "turn_urad_s": 1_000, "duration_ms": 2_000}
     action = does("drive", params=params)
-    state = worlds.world("pharmacy")
+    state = scenarios.world("pharmacy")
     assert duration_ms(SITE, state, action) == 2_000
     path = plan_path(SITE, state, action)
     assert path is not None
@@ -160,7 +162,7 @@ def test_a_drive_takes_its_time_and_turns_on_the_way() -> None:
 
 def test_a_survey_drives_there_and_records() -> None:
     action = does("survey", destination="station-101", params={"max_bytes": 9})
-    state = after(worlds.world("pharmacy"), action)
+    state = after(scenarios.world("pharmacy"), action)
     assert (state.region, state.recorded_bytes) == ("station-101", 9)
 
 
@@ -168,6 +170,6 @@ def test_conditions_are_attested_once_they_hold() -> None:
     from authguard_r.sim.robot import snapshot_of
 
     state = after(at_hand(), does("open", object="package-p1"))
-    readings = snapshot_of(state, robot=worlds.RID, epoch=1, seq=1).readings
+    readings = snapshot_of(state, robot=scenarios.RID, epoch=1, seq=1).readings
     assert readings["package-p1.open"].value is True
     assert "package-p2.open" not in readings

@@ -9,17 +9,17 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.audit.record import read_record
 from authguard_r.core.errors import StoreError
 from authguard_r.core.standing import Standing
 from authguard_r.wire.messages import ClientRole
-from unit.gate.house import House
+from fixtures import scenarios
+from unit.gate.demo_site import House
 
 
 def ready(**more: Any) -> Any:
-    sim = worlds.simulation(**more)
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(**more)
+    sim.gate.management.activate(scenarios.token())
     return sim
 
 
@@ -29,7 +29,7 @@ def records(sim: Any, kind: str) -> list[Any]:
 
 
 def budget() -> int:
-    return worlds.mission().budgets.planner_stops
+    return scenarios.mission().budgets.planner_stops
 
 
 def test_a_planners_stops_over_its_budget_are_counted_not_recorded_one_by_one() -> None:
@@ -74,7 +74,7 @@ def test_only_a_mission_that_can_be_suspended_is() -> None:
         sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     assert [r.link.decision for r in records(sim, "management")] == ["activate", "suspend"]
     assert sim.gate.management.standing("deliver-p1").status == "suspended"  # not ended
-    idle = worlds.simulation()
+    idle = scenarios.simulation()
     idle.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     assert records(idle, "management") == []
 
@@ -82,7 +82,7 @@ def test_only_a_mission_that_can_be_suspended_is() -> None:
 def test_a_mission_that_is_closing_cannot_wait_and_is_ended() -> None:
     sim = ready()
     standing = sim.gate.management.standing("deliver-p1")
-    plain = {**msgspec.to_builtins(standing), "status": "closing", "closes_ms": worlds.START_MS}
+    plain = {**msgspec.to_builtins(standing), "status": "closing", "closes_ms": scenarios.START_MS}
     sim.gate.ledger.run(lambda act: act.hold(msgspec.convert(plain, Standing)))
     sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     assert sim.gate.management.standing("deliver-p1").status == "completed"
@@ -90,7 +90,7 @@ def test_a_mission_that_is_closing_cannot_wait_and_is_ended() -> None:
 
 
 def test_an_operators_stop_without_a_mission_owes_nothing() -> None:
-    idle = worlds.simulation()
+    idle = scenarios.simulation()
     idle.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     assert idle.gate.enforcer.settle_stops() is True
 
@@ -109,13 +109,13 @@ def test_a_suspension_that_is_owed_refuses_everything_until_it_is_on_disk() -> N
     assert sim.gate.enforcer.settle_stops() is False
     sim.gate.enforcer.stop(by="planner", is_planner=True)  # takes nothing of it back
     for _ in range(2):
-        report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+        report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
         assert (report.refusal.reason, report.refusal.where) == ("STOPPED", "stop")
     assert sim.robot.trace == []
     assert records(sim, "decision") == []
     assert sim.gate.management.standing("deliver-p1").status == "active"
     sim.gate.ledger.store.run = run
-    report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.judged.decision.reasons == ("MISSION_SUSPENDED",)
     assert sim.gate.enforcer.settle_stops() is True
     assert [r.link.decision for r in records(sim, "management")] == ["activate", "suspend"]

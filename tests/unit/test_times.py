@@ -7,22 +7,22 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.assembly import folder_signer, folder_trust
 from authguard_r.keys.beginning import began_ms, boot_ms, chain_ms, token_ms
 from authguard_r.store.sqlite import open_store
 from authguard_r.times import SystemClock, committed_ms, last_epoch, store_clock
+from fixtures import scenarios
 
 DAY_MS = 86_400_000
 
 
 def test_a_certificate_that_exists_says_how_late_it_is() -> None:
-    trust = folder_trust(worlds.trust_folder())
+    trust = folder_trust(scenarios.trust_folder())
     began = began_ms(trust.roots)
-    assert worlds.START_MS - 2 * DAY_MS < began <= worlds.START_MS
-    chain = folder_signer(worlds.trust_folder(), "gate-courier-1").chain
+    assert scenarios.START_MS - 2 * DAY_MS < began <= scenarios.START_MS
+    chain = folder_signer(scenarios.trust_folder(), "gate-courier-1").chain
     assert chain_ms(chain) >= began
-    assert token_ms(worlds.token()) >= began
+    assert token_ms(scenarios.token()) >= began
 
 
 @pytest.mark.parametrize("data", [b"", b"{}", b"nonsense"])
@@ -33,9 +33,9 @@ def test_what_is_no_certificate_says_nothing(data: bytes) -> None:
 
 
 def test_only_a_clock_that_is_before_everything_is_not_believed() -> None:
-    trust = folder_trust(worlds.trust_folder())
+    trust = folder_trust(scenarios.trust_folder())
     began = began_ms(trust.roots)
-    for wall_ms in (began, began + 1, worlds.START_MS):
+    for wall_ms in (began, began + 1, scenarios.START_MS):
         # one that is merely behind is: what waits for it is every decision
         assert boot_ms(wall_ms, trust, wall_ms + DAY_MS) == wall_ms
     assert boot_ms(0, trust) == began
@@ -47,8 +47,8 @@ def test_a_store_says_when_it_was_committed(tmp_path: Path) -> None:
     assert (committed_ms(store), last_epoch(store)) == (0, -1)
     store.touch()
     assert committed_ms(store) == 0
-    sim = worlds.simulation(store=store)
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation(store=store)
+    sim.gate.management.activate(scenarios.token())
     late_ms = sim.gate.ledger.last_ms()
     sim.gate.close()
     assert 0 < committed_ms(store) <= late_ms

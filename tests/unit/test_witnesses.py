@@ -20,7 +20,6 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-import worlds
 from authguard_r.anchoring.anchor import SILENT, WHAT, Anchor
 from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
 from authguard_r.anchoring.notary import Notary, NotaryPolicy
@@ -47,11 +46,12 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.notes import cosign, verify_note
 from authguard_r.store.memory import MemoryStore
-from gates import until
-from restarts import copied, signer
-from witnesses import ORIGIN, SIZE, SmallWitness, begin, log_keys, policy
+from fixtures import scenarios
+from fixtures.gate_process import until
+from fixtures.restarting_gate import copied, signer
+from fixtures.small_witness import ORIGIN, SIZE, SmallWitness, begin, log_keys, policy
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 
 
 @pytest.fixture
@@ -67,10 +67,10 @@ def two() -> Iterator[SmallWitness]:
 
 
 def irreversible() -> bytes:
-    made = worlds.mission()
+    made = scenarios.mission()
     grants = tuple(msgspec.structs.replace(grant, irreversible=True) for grant in made.actions)
     changed = msgspec.structs.replace(made, actions=grants, expiry="2199-01-01T00:00:00Z")
-    return worlds.token(changed)
+    return scenarios.token(changed)
 
 
 def held(sim: Simulation, key: str = NEWEST) -> Note:
@@ -124,10 +124,10 @@ def accept(sim: Simulation) -> None:
     size, head = sim.gate.ledger.peek(lambda turn: turn.head())
     value = Command(
         verb=Verb.ACCEPT_STORE,
-        mid=worlds.RID,
+        mid=scenarios.RID,
         version=1,
         mission=shown["store"],
-        nonce=b64(worlds.random_bytes(16)),
+        nonce=b64(scenarios.random_bytes(16)),
         expires_ms=sim.gate.ledger.last_ms() + 60_000,
         accepts=StoreClaim(store=shown["store"], size=size, head=b64(head), number=shown["number"]),
     )
@@ -182,21 +182,21 @@ def test_what_cannot_be_undone_waits_until_the_quorum_has_confirmed_since_the_st
     one.stop()
     sim = begin(MemoryStore(), policy(one))
     sim.gate.management.activate(irreversible())
-    report = worlds.propose(sim, GO)
+    report = scenarios.propose(sim, GO)
     assert report.refusal.reason is Reason.STORE_UNAVAILABLE
     assert report.refusal.where == "witnesses"
     assert sim.robot.trace == []
     one.start()
     sim.robot.pause(60_000)
     settled(sim)
-    assert worlds.propose(sim, GO).outcome == "succeeded"
+    assert scenarios.propose(sim, GO).outcome == "succeeded"
 
 
 def test_what_can_be_undone_does_not_wait(one: SmallWitness) -> None:
     one.stop()
     sim = begin(MemoryStore(), policy(one))
-    sim.gate.management.activate(worlds.token(worlds.mission()))
-    assert worlds.propose(sim, GO).outcome == "succeeded"
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
+    assert scenarios.propose(sim, GO).outcome == "succeeded"
 
 
 def test_the_next_start_knows_what_was_witnessed_and_asks_anew(one: SmallWitness) -> None:
@@ -236,7 +236,7 @@ def test_a_held_cosignature_that_is_forged_or_too_few_is_none(
 
 def test_a_clean_end_is_shown_to_the_witnesses(one: SmallWitness) -> None:
     sim = begin(MemoryStore(), policy(one))
-    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
     store = ended(sim)
     assert one.size == len(store._rows)
 
@@ -247,18 +247,18 @@ def test_a_clean_end_is_shown_to_the_witnesses(one: SmallWitness) -> None:
 def worked(*witnesses: SmallWitness) -> tuple[MemoryStore, MemoryStore]:
     """Return a store as it was and as it is; the witnesses have seen it to the end."""
     sim = begin(MemoryStore(), policy(*witnesses))
-    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
     before = sim.gate.ledger.store
     assert isinstance(before, MemoryStore)
     kept = copied(before)
-    assert worlds.propose(sim, GO).outcome == "succeeded"
+    assert scenarios.propose(sim, GO).outcome == "succeeded"
     return kept, ended(sim)
 
 
 def refuses(sim: Simulation, why: Why, size: int) -> None:
     anchor = sim.gate.anchor
     assert anchor.why is why
-    assert worlds.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
     assert sim.robot.trace == []
     shown = anchor.shown()
     assert (shown["state"], shown["by"], shown["counted"]) == ("put_back", "one", size)
@@ -295,7 +295,7 @@ def test_another_log_of_the_same_length_is_caught(one: SmallWitness) -> None:
     rows[-1] = msgspec.structs.replace(rows[-1], link=bytes(32))
     for key in [key for key in store._held if key[0] in {"tree", CHECKPOINT}]:
         del store._held[key]
-    sim = begin(store, policy(one), at_ms=worlds.START_MS + 3_600_000)
+    sim = begin(store, policy(one), at_ms=scenarios.START_MS + 3_600_000)
     refuses(sim, Why.FORKED, one.size)
 
 
@@ -303,14 +303,14 @@ def test_a_witness_that_comes_late_stops_a_gate_that_serves_already(one: SmallWi
     kept, _ = worked(one)
     one.stop()
     sim = begin(kept, policy(one))
-    assert worlds.propose(sim, GO).outcome == "succeeded"
+    assert scenarios.propose(sim, GO).outcome == "succeeded"
     one.start()
     one.instead = [(409, SIZE, b"1000\n")]  # it has seen far more than this
     sim.robot.pause(60_000)
     (told,) = settled(sim)
     assert (told.what, told.details, told.recorded) == (WHAT, {"why": "behind", "by": "one"}, True)
     assert sim.gate.anchor.why is Why.BEHIND
-    assert worlds.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
+    assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
 
 
 def test_after_a_person_accepted_the_store_the_witness_is_lost_until_it_forgets(
@@ -372,7 +372,7 @@ def test_a_log_that_was_accepted_against_its_own_checkpoint_is_shown_anew(
 
 def test_a_crash_between_commit_and_checkpoint_is_no_rollback(one: SmallWitness) -> None:
     sim = begin(MemoryStore(), policy(one))
-    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
     store = sim.gate.ledger.store
     assert isinstance(store, MemoryStore)
     assert one.size < len(store._rows)
@@ -692,8 +692,8 @@ def test_nobody_is_asked_where_no_key_signs(one: SmallWitness) -> None:
     sim = begin(MemoryStore(), policy())
     assert "witness" not in sim.gate.anchor.shown()
     ledger = sim.gate.ledger
-    notary = Notary(ledger, robot=worlds.RID, signer=None, policy=policy(one))
-    keyless = Anchor(ledger, robot=worlds.RID, notary=notary)
+    notary = Notary(ledger, robot=scenarios.RID, signer=None, policy=policy(one))
+    keyless = Anchor(ledger, robot=scenarios.RID, notary=notary)
     keyless.begin()
     assert (keyless.why, keyless.tick(), one.asked) == (None, (), [])
     with pytest.raises(EnvironmentFault):  # and what has no undo waits for ever
@@ -701,7 +701,7 @@ def test_nobody_is_asked_where_no_key_signs(one: SmallWitness) -> None:
 
 
 def test_without_a_notary_nothing_is_made_and_nothing_waits() -> None:
-    bare = Anchor(begin(MemoryStore(), policy()).gate.ledger, robot=worlds.RID)
+    bare = Anchor(begin(MemoryStore(), policy()).gate.ledger, robot=scenarios.RID)
     bare.begin()
     bare.ready(irreversible=True)
     assert bare.covered(irreversible=True) == ()

@@ -11,8 +11,6 @@ from typing import Any
 
 import msgspec
 
-import cases
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.core.approval import Approval
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -22,14 +20,15 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import Revocation, sign_list
 from authguard_r.keys.signer import FileSigner
 from authguard_reference.approval import scope_of, situation_of
+from fixtures import decision_cases, scenarios
 from making.chains import authority, leaf, root, serial_of
 from unit.keys.chains import EVERYWHERE, PRINCIPAL, Held, eku, key, san
 
 Json = dict[str, Any]
 
 DAY = timedelta(days=1)
-BEGIN = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
-NOW_MS = worlds.START_MS
+BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
+NOW_MS = scenarios.START_MS
 #: When the open request ends, and how long the lists of the trust folder last.
 OPEN_MS, LISTS_MS = NOW_MS + 120_000, NOW_MS + 20 * 86_400_000
 DATES: Json = {"start": BEGIN - DAY, "end": BEGIN + 30 * DAY}
@@ -43,13 +42,15 @@ GOALS = ("pharmacy", "isolation-room", "plant-room")
 
 def mission(**changes: Any) -> Mission:
     """Return the hospital's mission with a grant to each goal, under a policy that sees people."""
-    base = worlds.mission()
-    way = cases.set_(base.actions[0], chooser="operator", until=(), guards=(), starts=9, repeat=9)
+    base = scenarios.mission()
+    way = decision_cases.set_(
+        base.actions[0], chooser="operator", until=(), guards=(), starts=9, repeat=9
+    )
     rows = [
         {"source": "dock", "destination": goal, "regions": sorted(["dock", goal])} for goal in GOALS
     ]
     grants = [
-        {**cases.plain(way), "id": f"to-{goal}", "alternatives": [row]}
+        {**decision_cases.plain(way), "id": f"to-{goal}", "alternatives": [row]}
         for goal, row in zip(GOALS, rows, strict=True)
     ]
     near = {
@@ -58,9 +59,9 @@ def mission(**changes: Any) -> Mission:
         "value": 1_000,
         "max_age_ms": 1_000,
     }
-    policy = {**cases.plain(base.risk_policy), "states": [{"guard": near, "weight": 30}]}
+    policy = {**decision_cases.plain(base.risk_policy), "states": [{"guard": near, "weight": 30}]}
     fields: Json = {
-        **cases.plain(base),
+        **decision_cases.plain(base),
         "actions": grants,
         "regions": sorted([*GOALS, "dock"]),
         "objects": [],
@@ -76,15 +77,18 @@ DIGEST = digest_of(Tag.MISSION, MISSION)
 
 def action(goal: str, **changes: Any) -> Json:
     """Return the way from the dock to a goal."""
-    return {**cases.plain(worlds.navigate("dock", goal)), **changes}
+    return {**decision_cases.plain(scenarios.navigate("dock", goal)), **changes}
 
 
 def state(**readings: int) -> Json:
     """Return the robot at the dock; readings as given."""
-    snapshot = worlds.state("dock").snapshot
-    kept = {n: cases.set_(r, value=readings.get(n, r.value)) for n, r in snapshot.readings.items()}
-    plain = cases.plain(cases.set_(snapshot, readings=kept))
-    return {"snapshot": plain, "arrived_mono_ms": worlds.NOW.mono_ms}
+    snapshot = scenarios.state("dock").snapshot
+    kept = {
+        n: decision_cases.set_(r, value=readings.get(n, r.value))
+        for n, r in snapshot.readings.items()
+    }
+    plain = decision_cases.plain(decision_cases.set_(snapshot, readings=kept))
+    return {"snapshot": plain, "arrived_mono_ms": scenarios.NOW.mono_ms}
 
 
 STATES = {"nobody near": state(), "somebody near": state(human_distance_mm=500)}
@@ -92,9 +96,9 @@ STATES = {"nobody near": state(), "somebody near": state(human_distance_mm=500)}
 
 def situation(goal: str, tier: int, near: str = "nobody near") -> str:
     """Return the digest of a situation on the way to a goal."""
-    plain = cases.plain(MISSION)
+    plain = decision_cases.plain(MISSION)
     grant = next(g for g in plain["actions"] if g["id"] == f"to-{goal}")
-    facts, now = cases.plain_facts(worlds.facts()), cases.plain(worlds.NOW)
+    facts, now = decision_cases.plain_facts(scenarios.facts()), decision_cases.plain(scenarios.NOW)
     return situation_of(plain, grant, tier, state=STATES[near], facts=facts, now=now)
 
 

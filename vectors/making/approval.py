@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import cases
-import worlds
 from authguard_r.core.encoding import b64
+from fixtures import decision_cases, scenarios
 from making import approval_faults as faults
 from making.answers import DIGEST, MISSION, NOW_MS, STATES, principals, request, situation, trusted
 from making.approval_cases import ACTIONS, ASK, ONE, REQUESTS, TWO, Cases
@@ -35,14 +34,16 @@ def approval_vectors() -> Json:
     faults.taken_in(made)
     return {
         **trusted(),
-        "facts": cases.plain_facts(worlds.facts()),
-        "mission": cases.plain(MISSION),
+        "facts": decision_cases.plain_facts(scenarios.facts()),
+        "mission": decision_cases.plain(MISSION),
         "digest": DIGEST,
         "actions": ACTIONS,
         "requests": REQUESTS,
         "states": STATES,
-        "now": cases.plain(worlds.NOW),
-        "standing": cases.plain(cases.set_(worlds.active(worlds.verified(MISSION)), counter=7)),
+        "now": decision_cases.plain(scenarios.NOW),
+        "standing": decision_cases.plain(
+            decision_cases.set_(scenarios.active(scenarios.verified(MISSION)), counter=7)
+        ),
         "signers": principals(made.answers),
         "answers": made.answers.tokens,
         "vectors": made.vectors,

@@ -6,9 +6,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import cases
 from authguard_r.core.encoding import Tag, b64, encode, unb64
 from authguard_r.core.token import sign_object
+from fixtures import decision_cases
 from making.answers import LISTS_MS, MISSION, NOW_MS, OPEN_MS, selection
 from making.approval_cases import ASK, ONE, TWO, Cases
 
@@ -72,7 +72,7 @@ def asked(made: Cases) -> None:
 
 def policies(made: Cases) -> None:
     """An organization's policy beside the mission's: the stricter counts."""
-    own = cases.plain(MISSION.risk_policy)
+    own = decision_cases.plain(MISSION.risk_policy)
     more: Json = {"need": (65, 4), "policies": [{**own, "t": 4}]}
     made.add("an organization that wants four", TWO, ASK, **more)
     made.add("an organization that wants four and gets them", [*TWO, ("officer-1", "")], [], **more)

@@ -5,16 +5,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import worlds
 from authguard_r.core.encoding import Tag, digest_of, encode
-from cases import plain
+from fixtures import scenarios
+from fixtures.decision_cases import plain
 
 Json = dict[str, Any]
 
 
 def encoding_vectors() -> Json:
     """Values with their only bytes, and bytes that are nobody's."""
-    mission = worlds.mission()
+    mission = scenarios.mission()
     accepted = [
         {
             "name": name,
@@ -25,8 +25,8 @@ def encoding_vectors() -> Json:
         }
         for name, tag, value in (
             ("the hospital mission", Tag.MISSION, mission),
-            ("the hospital site", Tag.SITE, worlds.site()),
-            ("an action", Tag.ACTION, worlds.navigate("dock", "pharmacy")),
+            ("the hospital site", Tag.SITE, scenarios.site()),
+            ("an action", Tag.ACTION, scenarios.navigate("dock", "pharmacy")),
         )
     ]
     text = encode(mission).decode()

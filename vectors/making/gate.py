@@ -8,88 +8,89 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-import cases
-import worlds
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.quantities import Now
-from cases import ALONE, Case, plain
+from fixtures import decision_cases, scenarios
+from fixtures.decision_cases import ALONE, Case, plain
 
 Json = dict[str, Any]
 
 
 def at_the_end(rnd: Random) -> Case:
     """Exactly t = expiry."""
-    case = cases._plain(rnd)
-    return replace(case, now=Now(worlds.START_MS + 1_200_000, case.now.mono_ms))
+    case = decision_cases._plain(rnd)
+    return replace(case, now=Now(scenarios.START_MS + 1_200_000, case.now.mono_ms))
 
 
 def at_the_beginning(rnd: Random) -> Case:
     """Exactly t = not_before."""
-    case = cases._plain(rnd)
-    return replace(case, now=Now(worlds.START_MS, case.now.mono_ms))
+    case = decision_cases._plain(rnd)
+    return replace(case, now=Now(scenarios.START_MS, case.now.mono_ms))
 
 
 def at_the_bound(rnd: Random) -> Case:
     """Exactly the largest value of each limit."""
-    case = cases._plain(rnd, "pick", "wait")
+    case = decision_cases._plain(rnd, "pick", "wait")
     params = {limit.parameter: limit.high for limit in case.grant.limits}
-    return cases._with_action(case, params=params)
+    return decision_cases._with_action(case, params=params)
 
 
 def last_in_window(rnd: Random) -> Case:
     """One release fewer than the rate allows."""
-    case = cases._plain(rnd)
+    case = decision_cases._plain(rnd)
     count = case.mission.budgets.rate.count - 1
-    return cases._with_standing(case, releases=tuple(case.now.mono_ms - n for n in range(count)))
+    return decision_cases._with_standing(
+        case, releases=tuple(case.now.mono_ms - n for n in range(count))
+    )
 
 
 def last_start(rnd: Random) -> Case:
     """One start fewer than allowed."""
-    case = cases._plain(rnd)
+    case = decision_cases._plain(rnd)
     assert case.standing is not None
-    use = cases.set_(case.standing.uses["wanted"], starts=case.grant.starts - 1)
-    return cases._with_standing(case, uses={**case.standing.uses, "wanted": use})
+    use = decision_cases.set_(case.standing.uses["wanted"], starts=case.grant.starts - 1)
+    return decision_cases._with_standing(case, uses={**case.standing.uses, "wanted": use})
 
 
 def last_success(rnd: Random) -> Case:
     """One success fewer than allowed."""
-    case = cases._plain(rnd)
+    case = decision_cases._plain(rnd)
     assert case.standing is not None
-    use = cases.set_(case.standing.uses["wanted"], successes=case.grant.repeat - 1)
-    return cases._with_standing(case, uses={**case.standing.uses, "wanted": use})
+    use = decision_cases.set_(case.standing.uses["wanted"], successes=case.grant.repeat - 1)
+    return decision_cases._with_standing(case, uses={**case.standing.uses, "wanted": use})
 
 
 def last_of_budget(rnd: Random) -> Case:
     """The last action of the budget."""
-    case = cases._plain(rnd)
-    return cases._with_standing(case, actions=case.mission.budgets.actions - 1)
+    case = decision_cases._plain(rnd)
+    return decision_cases._with_standing(case, actions=case.mission.budgets.actions - 1)
 
 
 def just_fresh(rnd: Random) -> Case:
     """A pose exactly as old as allowed."""
-    case = cases._plain(rnd, "pick", "navigate")
+    case = decision_cases._plain(rnd, "pick", "navigate")
     assert case.state is not None
     arrived = case.now.mono_ms - case.state.arrived_mono_ms
-    return cases._pose(case, age_ms=case.mission.place_max_age_ms - arrived)
+    return decision_cases._pose(case, age_ms=case.mission.place_max_age_ms - arrived)
 
 
 def just_charged(rnd: Random) -> Case:
     """A guard at exactly its value."""
-    return cases._with_reading(cases._plain(rnd), rnd, value=100)
+    return decision_cases._with_reading(decision_cases._plain(rnd), rnd, value=100)
 
 
 def last_moment_of_certificate(rnd: Random) -> Case:
     """The certificate's last millisecond."""
-    case = cases._plain(rnd)
+    case = decision_cases._plain(rnd)
     return replace(case, usable_until_ms=case.now.utc_ms)
 
 
 def last_moment_of_request(rnd: Random) -> Case:
     """The approval request's last millisecond."""
-    case = cases._approval_base(rnd)
+    case = decision_cases._approval_base(rnd)
     assert case.standing is not None
-    request = cases.set_(case.standing.requests["wanted"], expires_ms=case.now.utc_ms)
-    return cases._with_standing(case, requests={"wanted": request})
+    request = decision_cases.set_(case.standing.requests["wanted"], expires_ms=case.now.utc_ms)
+    return decision_cases._with_standing(case, requests={"wanted": request})
 
 
 NEAR: dict[str, Callable[[Random], Case]] = {
@@ -104,19 +105,19 @@ NEAR: dict[str, Callable[[Random], Case]] = {
     "GUARD_FALSE": just_charged,
     "CERTIFICATE_EXPIRED": last_moment_of_certificate,
     "APPROVAL_TIMEOUT": last_moment_of_request,
-    "APPROVAL_REQUIRED": cases._approval_base,
-    "APPROVAL_DENIED": cases._approval_base,
+    "APPROVAL_REQUIRED": decision_cases._approval_base,
+    "APPROVAL_DENIED": decision_cases._approval_base,
 }
 
 
 def confined(rnd: Random, without: str | None = None, **lost: Any) -> Case:
     """Both approvers reach this robot and the action's places only; the first one lacks one."""
-    case = cases._approval_base(rnd)
-    places = cases._places(case.action)
-    held = cases.Scope(robots=frozenset({worlds.RID}), regions=frozenset(places))
+    case = decision_cases._approval_base(rnd)
+    places = decision_cases._places(case.action)
+    held = decision_cases.Scope(robots=frozenset({scenarios.RID}), regions=frozenset(places))
     gone = {getattr(case.action, without)} if without else set()
-    first = cases.set_(held, **{"regions": frozenset(places - gone), **lost})
-    return cases._rescoped(case, (first, held))
+    first = decision_cases.set_(held, **{"regions": frozenset(places - gone), **lost})
+    return decision_cases._rescoped(case, (first, held))
 
 
 #: Approvers whose certificates confine them: to what the action needs, or to less.
@@ -124,7 +125,7 @@ SCOPES: dict[str, Callable[[Random], Case]] = {
     "approvers who reach the robot and the action's places": confined,
     "an approver without the destination": lambda rnd: confined(rnd, "destination"),
     "an approver without the source": lambda rnd: confined(rnd, "source"),
-    "an approver without the robot": lambda rnd: confined(rnd, robots=frozenset({worlds.OTHER})),
+    "an approver without the robot": lambda rnd: confined(rnd, robots=frozenset({scenarios.OTHER})),
     "an approver without any region": lambda rnd: confined(rnd, regions=frozenset()),
 }
 
@@ -134,12 +135,12 @@ def gate_vectors() -> Json:
     vectors: list[Json] = []
     for reason in sorted(ALONE):
         vectors.append(gate_vector(reason, "alone", ALONE[reason]))
-        vectors.append(gate_vector(reason, "near miss", NEAR.get(reason, cases._plain)))
+        vectors.append(gate_vector(reason, "near miss", NEAR.get(reason, decision_cases._plain)))
     for name, build in SCOPES.items():
         lost = name.startswith("an approver without")
         kind, reason = ("alone" if lost else "near miss"), "APPROVAL_REQUIRED"
         vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
-    return {"facts": cases.plain_facts(cases.FACTS), "vectors": vectors}
+    return {"facts": decision_cases.plain_facts(decision_cases.FACTS), "vectors": vectors}
 
 
 def gate_vector(
@@ -149,8 +150,8 @@ def gate_vector(
     wanted = [reason] if kind == "alone" else []
     for seed in range(1_000):
         case = build(Random(seed))
-        case = case if confined else cases.everywhere(case)
-        decision = cases.decide_case(case)
+        case = case if confined else decision_cases.everywhere(case)
+        decision = decision_cases.decide_case(case)
         if [str(r) for r in decision.reasons] == wanted:
             return {
                 "reason": reason,
@@ -185,6 +186,6 @@ def gate_input(case: Case) -> Json:
         "standing": None if case.standing is None else plain(case.standing),
         "approvals": [plain(item) for item in case.approvals],
     }
-    if case.facts is not cases.FACTS:
-        given["facts"] = cases.plain_facts(case.facts)
+    if case.facts is not decision_cases.FACTS:
+        given["facts"] = decision_cases.plain_facts(case.facts)
     return given

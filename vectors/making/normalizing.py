@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize import Binder, normalize
-from cases import plain
+from fixtures import scenarios
+from fixtures.decision_cases import plain
 
 Json = dict[str, Any]
 
@@ -45,7 +45,7 @@ def normalize_vectors() -> Json:
         "prose": "I will go to Station 101.",
         "an expression": "navigate_to(destination=open('x').read())",
     }
-    binder = Binder(worlds.site(), worlds.binding())
+    binder = Binder(scenarios.site(), scenarios.binding())
     vectors = []
     for name, text in texts.items():
         try:

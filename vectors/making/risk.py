@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import cases
-import worlds
 from authguard_reference.approval import scope_of, situation_of
+from fixtures import decision_cases, scenarios
 from making.answers import MISSION, action, state
 from making.risk_policies import organization_vectors
 
@@ -29,7 +28,7 @@ NEAR: Json = {
 }
 #: The hospital's policy, which also weighs speed and people who are near.
 POLICY: Json = {
-    **cases.plain(worlds.mission().risk_policy),
+    **decision_cases.plain(scenarios.mission().risk_policy),
     "parameters": [
         {"parameter": "force_mn", "full_scale": 40_000, "weight": 10},
         {"parameter": "speed_mm_s", "full_scale": 1_000, "weight": 8},
@@ -42,7 +41,7 @@ WAY = (5, 5, 0, 0, 4, 0)
 
 def facts() -> Json:
     """Return the hospital's facts, with places and things of other tags and classes."""
-    plain: Json = cases.plain_facts(worlds.facts())
+    plain: Json = decision_cases.plain_facts(scenarios.facts())
     more = {"lobby": [], "laboratory": ["hazardous", "restricted"], "attic": ["unheard-of"]}
     for name, tags in more.items():
         plain["regions"][name] = {**plain["regions"]["dock"], "tags": tags}
@@ -108,8 +107,8 @@ def risk_vectors() -> Json:
         one["state"] = states_.name(one["state"], name)
     return {
         "facts": facts(),
-        "mission": cases.plain(MISSION),
-        "now": cases.plain(worlds.NOW),
+        "mission": decision_cases.plain(MISSION),
+        "now": decision_cases.plain(scenarios.NOW),
         "policies": policies.values,
         "states": states_.values,
         "vectors": vectors,
@@ -151,7 +150,7 @@ def vector(
     required, tier, rho = strictest
     expect: Json = {"each": each, "required": required, "tier": tier, "rho": rho}
     if required > 1:
-        plain, now = cases.plain(MISSION), cases.plain(worlds.NOW)
+        plain, now = decision_cases.plain(MISSION), decision_cases.plain(scenarios.NOW)
         seen_by: Json = {"state": seen, "facts": facts(), "now": now}
         grant = plain["actions"][0]
         expect["scope"] = scope_of(done)

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import worlds
 from authguard_r.core.encoding import Tag, b64, digest, encode, unb64
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import Revocation, sign_list
+from fixtures import scenarios
 from making.answers import BEGIN, DATES, DAY, TOP
 from making.chains import authority, leaf
 from unit.keys.chains import Held, eku
@@ -91,7 +91,7 @@ def organization_vectors(policy: Json) -> Json:
         "root": b64(TOP.der),
         "authorities": {"policies": b64(SIGNERS.der)},
         "revocations": lists,
-        "now_ms": worlds.START_MS,
+        "now_ms": scenarios.START_MS,
         "organization": [
             {"name": name, "token": text, "expect": expect}
             for name, (text, expect) in tokens.items()

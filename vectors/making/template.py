@@ -5,20 +5,19 @@ from __future__ import annotations
 
 from typing import Any
 
-import cases
-import deliveries
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.templates import covered, require_sound
-from cases import plain
+from fixtures import decision_cases, templates
+from fixtures.decision_cases import plain
 
 Json = dict[str, Any]
 
 
 def template_vectors() -> Json:
     """A template, instances with the missions that they make or why not, and unsound templates."""
-    template, hashed = deliveries.template(), deliveries.digest()
-    made = deliveries.instance()
+    template, hashed = templates.template(), templates.digest()
+    made = templates.instance()
     fill = made.fill
     asked: dict[str, Json] = {
         "the first values": {},
@@ -37,7 +36,7 @@ def template_vectors() -> Json:
     }
     instances = []
     for name, changes in asked.items():
-        instance = cases.set_(made, **changes)
+        instance = decision_cases.set_(made, **changes)
         try:
             mission = covered(instance, template, hashed)
             digested = digest_of(Tag.MISSION, mission)
@@ -47,14 +46,14 @@ def template_vectors() -> Json:
         instances.append({"name": name, "instance": plain(instance), "expect": expect})
     hole = {"hole": "station"}
     unsound = {
-        "a hole for a tool": deliveries.edited((("actions", 0, "tool"), hole)),
-        "a hole for a whole row": deliveries.edited((("actions", 0, "alternatives", 0), hole)),
-        "a place for an object": deliveries.edited(
+        "a hole for a tool": templates.edited((("actions", 0, "tool"), hole)),
+        "a hole for a whole row": templates.edited((("actions", 0, "alternatives", 0), hole)),
+        "a place for an object": templates.edited(
             (("actions", 1, "alternatives", 0, "object"), hole)
         ),
-        "a hole that nobody declared": deliveries.edited((("regions", 0), {"hole": "nowhere"})),
-        "a nonce of its own": deliveries.edited((("nonce",), "A" * 22)),
-        "a number in the task": deliveries.edited((("task",), ["go", 1])),
+        "a hole that nobody declared": templates.edited((("regions", 0), {"hole": "nowhere"})),
+        "a nonce of its own": templates.edited((("nonce",), "A" * 22)),
+        "a number in the task": templates.edited((("task",), ["go", 1])),
     }
     refused = []
     for name, value in unsound.items():

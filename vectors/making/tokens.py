@@ -8,14 +8,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import cases
-import worlds
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.core.encoding import Tag, b64, digest, encode_fast
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, init_folder
+from fixtures import decision_cases, scenarios
 
 Json = dict[str, Any]
 
@@ -29,7 +28,7 @@ def token_vectors() -> Json:
         return {
             **content,
             "hybrid": trust_parts(both, hybrid_tokens(both)),
-            "now_ms": worlds.START_MS,
+            "now_ms": scenarios.START_MS,
             "roles": ["operator", "safety_officer"],
             "raw_digest_of_authentic": digest(Tag.RAW, content["vectors"][0]["token"].encode()),
             "note": b64(b"keys are made anew at each generation; only the public parts are here"),
@@ -38,14 +37,14 @@ def token_vectors() -> Json:
 
 def trust_set_up(folder: Path, *algorithms: Any) -> Path:
     """Make a trust folder in which one more operator is confined to a robot and its regions."""
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
-    operator, regions = Role.OPERATOR, worlds.mission().regions
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
+    operator, regions = Role.OPERATOR, scenarios.mission().regions
     members = (
-        *demo_members(worlds.site(), (worlds.RID,)),
-        Member(id="confined", role=operator, robots=(worlds.RID,), regions=regions),
+        *demo_members(scenarios.site(), (scenarios.RID,)),
+        Member(id="confined", role=operator, robots=(scenarios.RID,), regions=regions),
         Member(id="no-robot", role=operator, regions=regions),
-        Member(id="another-robot", role=operator, robots=(worlds.OTHER,), regions=regions),
-        Member(id="one-region-less", role=operator, robots=(worlds.RID,), regions=regions[1:]),
+        Member(id="another-robot", role=operator, robots=(scenarios.OTHER,), regions=regions),
+        Member(id="one-region-less", role=operator, robots=(scenarios.RID,), regions=regions[1:]),
     )
     known: dict[str, Any] = {"algorithms": algorithms} if algorithms else {}
     init_folder(folder, members, now=begin, days=36_500, **known)
@@ -66,7 +65,7 @@ def trust_parts(folder: Path, made: dict[str, tuple[str, str | None]]) -> Json:
 
 def signed_mission(folder: Path, by: str, **changes: Any) -> str:
     """Return the hospital's mission with another issuer, signed by it."""
-    mission = cases.set_(worlds.mission(), **{"issuer": by, **changes})
+    mission = decision_cases.set_(scenarios.mission(), **{"issuer": by, **changes})
     return sign_object(mission, Tag.MISSION, folder_signer(folder, by)).decode()
 
 
@@ -74,7 +73,7 @@ def tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
     """Return tokens under one root."""
     operator = folder_signer(folder, "operator-1")
     good = signed_mission(folder, "operator-1")
-    other = sign_object(worlds.mission(), Tag.SELECTION, operator).decode()
+    other = sign_object(scenarios.mission(), Tag.SELECTION, operator).decode()
     late = "2030-01-01T00:00:00Z"
     return {
         "authentic": (good, None),
@@ -115,7 +114,7 @@ def hybrid_tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
     foreign = read_token(signed_mission(folder, "confined", issuer="operator-1").encode())
 
     def made_of(*endorsements: Any) -> str:
-        return encode_fast(cases.set_(whole, endorsements=endorsements)).decode()
+        return encode_fast(decision_cases.set_(whole, endorsements=endorsements)).decode()
 
     return {
         "authentic": (good, None),
@@ -125,8 +124,8 @@ def hybrid_tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
         "the first signature twice": (made_of(first, first), "SIGNATURE_MISSING"),
         "the signatures exchanged": (
             made_of(
-                cases.set_(first, signature=second.signature),
-                cases.set_(second, signature=first.signature),
+                decision_cases.set_(first, signature=second.signature),
+                decision_cases.set_(second, signature=first.signature),
             ),
             "SIGNATURE_INVALID",
         ),

@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.adapters import functions as module
 from authguard_r.adapters.functions import Caller, Functions, Tool
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.tools.server import CallError
+from fixtures import scenarios
 
 
 def with_tool(function: Any, *, is_async: bool = False, changed: Any = None) -> Functions:
@@ -39,7 +39,7 @@ def with_tool(function: Any, *, is_async: bool = False, changed: Any = None) -> 
 def waiting(loop: asyncio.AbstractEventLoop, **beside: Any) -> Caller:
     """Return a caller whose proposal was released."""
     caller = Caller(tool="scan", beside=beside, context=contextvars.Context(), loop=loop)
-    caller.told({"ticket": worlds.TICKET})
+    caller.told({"ticket": scenarios.TICKET})
     caller.told({})  # the first word counts
     return caller
 
@@ -52,13 +52,13 @@ def test_a_release_is_a_callers_by_its_ticket_and_by_nothing_else() -> None:
         made = with_tool(scan, is_async=True)
         mine, here = object(), asyncio.get_running_loop()
         made.caller = waiting(here, mine=mine)
-        for ticket, value in ((Digest("s" * 43), None), (None, None), (worlds.TICKET, mine)):
+        for ticket, value in ((Digest("s" * 43), None), (None, None), (scenarios.TICKET, mine)):
             answer = await made.call("scan", {}, 10.0, ticket=ticket)
             assert answer.told is not None
             assert made.take(answer.told.content).value is value
         made.caller = Caller(tool="scan", beside={}, context=contextvars.Context(), loop=here)
         with pytest.raises(CallError, match="in time"):  # nobody has said whose it is
-            await made.call("scan", {}, 0.01, ticket=worlds.TICKET)
+            await made.call("scan", {}, 0.01, ticket=scenarios.TICKET)
         made.close()
 
     asyncio.run(talk())
@@ -119,7 +119,7 @@ def test_a_coroutine_of_a_caller_whose_loop_is_closed_begins_nowhere() -> None:
         made = with_tool(scan, is_async=True)
         made.caller = waiting(gone)
         with pytest.raises(CallError, match="closed") as told:
-            await made.call("scan", {}, 10.0, ticket=worlds.TICKET)
+            await made.call("scan", {}, 10.0, ticket=scenarios.TICKET)
         assert not told.value.sent
 
     asyncio.run(talk())
@@ -170,7 +170,7 @@ def test_a_caller_that_has_left_its_loop_cancels_nothing_in_it() -> None:
         made.caller = waiting(loop)
         thread = threading.Thread(target=loop.run_forever)
         thread.start()
-        going = asyncio.create_task(made.call("scan", {}, 3_600.0, ticket=worlds.TICKET))
+        going = asyncio.create_task(made.call("scan", {}, 3_600.0, ticket=scenarios.TICKET))
         await asyncio.to_thread(thread.join)
         for task in asyncio.all_tasks(loop):
             task._log_destroy_pending = False  # type: ignore[attr-defined]
@@ -198,7 +198,7 @@ def test_a_call_that_is_called_off_as_it_ends_is_not_waited_for() -> None:
     async def talk() -> None:
         made = Late(lambda: None)
         made.tools = with_tool(ended.wait).tools
-        going.append(asyncio.create_task(made.call("scan", {}, 3_600.0, ticket=worlds.TICKET)))
+        going.append(asyncio.create_task(made.call("scan", {}, 3_600.0, ticket=scenarios.TICKET)))
         await asyncio.sleep(0)
         ended.set()
         with pytest.raises(asyncio.CancelledError):

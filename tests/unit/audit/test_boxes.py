@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.audit.boxes import (
     ACT,
     BOX,
@@ -34,6 +33,7 @@ from authguard_r.audit.record import NONE, Entry, Record, Sealed, append, read_r
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import MalformedError
+from fixtures import scenarios
 from unit.test_record import Log
 
 LAW = settings(max_examples=100, deadline=None)
@@ -78,7 +78,7 @@ def entry(sealed: dict[str, Any], **changes: Any) -> Entry:
 
 
 def cover(*data: DataClass, **changes: Any) -> Cover:
-    made = Cover(robot=worlds.RID, keys=0, classes={one: KEYS[one] for one in data or DataClass})
+    made = Cover(robot=scenarios.RID, keys=0, classes={one: KEYS[one] for one in data or DataClass})
     return msgspec.structs.replace(made, **changes)
 
 
@@ -89,7 +89,8 @@ def row_of(log: Log, seq: int = 0) -> Row:
 def sealed_row(sealed: dict[str, Any], *data: DataClass, **changes: Any) -> Row:
     log = Log()
     assert (
-        append_covered(log, entry(sealed, **changes), cover(*data), salts=worlds.random_bytes) == 0
+        append_covered(log, entry(sealed, **changes), cover(*data), salts=scenarios.random_bytes)
+        == 0
     )
     row = row_of(log)
     assert verify_rows([row]).whole
@@ -99,7 +100,7 @@ def sealed_row(sealed: dict[str, Any], *data: DataClass, **changes: Any) -> Row:
 def read(row: Row, *data: DataClass, **changes: Any) -> Row:
     """Return the row as a reader of these classes, of all without any, has it."""
     known = {one: KEYS[one] for one in data or DataClass}
-    told = {"robot": worlds.RID, "key_of": lambda keys, one: known.get(one), **changes}
+    told = {"robot": scenarios.RID, "key_of": lambda keys, one: known.get(one), **changes}
     return opened(row, **told)
 
 
@@ -199,7 +200,7 @@ def test_equal_fields_are_sealed_into_different_bytes() -> None:
 
 def test_a_record_without_secrets_has_no_box() -> None:
     log = Log()
-    append_covered(log, entry({"now": 1}, open={"n": 1}), cover(), salts=worlds.random_bytes)
+    append_covered(log, entry({"now": 1}, open={"n": 1}), cover(), salts=scenarios.random_bytes)
     row = row_of(log)
     assert read(row) is row
 
@@ -230,7 +231,7 @@ def test_a_box_opens_in_its_own_place_alone() -> None:
     assert "not what was sealed here" in refused(with_box(row, name, values(other)[name])).message
     log = Log()
     for _ in range(2):
-        append_covered(log, entry(SECRETS), cover(), salts=worlds.random_bytes)
+        append_covered(log, entry(SECRETS), cover(), salts=scenarios.random_bytes)
     box = values(row_of(log, 1))[name]
     assert "not what was sealed here" in refused(with_box(row_of(log), name, box)).message
 
@@ -272,9 +273,9 @@ def forged(sealed: dict[str, Sealed], **changes: Any) -> Row:
     import authguard_r.audit.boxes as module
 
     row = sealed_row({"why": "because"}, DataClass.PERSON)
-    place = module._Where(robot=worlds.RID, mid="m-1", seq=0, classes=(DataClass.PERSON,))
+    place = module._Where(robot=scenarios.RID, mid="m-1", seq=0, classes=(DataClass.PERSON,))
     items = {name: encode_fast(one)[1:] for name, one in sealed.items()}
-    made = module._sealed(items, cover(), place, worlds.random_bytes)
+    made = module._sealed(items, cover(), place, scenarios.random_bytes)
     kept = read_record(row.record, where="")
     changed = msgspec.structs.replace(kept, committed={**kept.committed, **changes})
     row = msgspec.structs.replace(row, record=encode_fast(changed))

@@ -14,6 +14,7 @@ from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint,
 from authguard_r.audit.note import encode64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
+from fixtures.cases import case
 
 LAW = settings(max_examples=200, deadline=None)
 ROOT, CHAIN = bytes(range(32)), bytes(range(32, 64))
@@ -42,9 +43,8 @@ def test_others_extension_lines_are_theirs() -> None:
     assert read == Checkpoint(origin="o", size=0, root=ROOT, chain=ROOT)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_what_is_no_checkpoint_is_refused() -> None:
+    for text in [
         "",
         "o\n",
         "o\n1\n",
@@ -65,12 +65,11 @@ def test_others_extension_lines_are_theirs() -> None:
         f"o\n1\n{HASH}\nchain {HASH}\nchain {HASH}\n",
         f"o\n1\n{HASH}\nchain AAAA\n",
         f"o\n1\n{HASH}\nchain \n",
-    ],
-)
-def test_what_is_no_checkpoint_is_refused(text: str) -> None:
-    with pytest.raises(MalformedError) as caught:
-        read_checkpoint(text, where="note")
-    assert caught.value.where == "note"
+    ]:
+        with case(text):
+            with pytest.raises(MalformedError) as caught:
+                read_checkpoint(text, where="note")
+            assert caught.value.where == "note"
 
 
 @pytest.mark.parametrize("size", [0, 1, 10, 2**53 - 1])

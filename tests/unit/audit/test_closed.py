@@ -10,7 +10,7 @@ import pytest
 
 from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import Record, read_record
-from logs import log_of
+from fixtures.small_logs import log_of
 
 (ROW,) = log_of(1)
 ACTION = {"action.act", "action.object", "action.params", "action.regions"}

@@ -36,8 +36,8 @@ from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.reasons import Reason
-from logs import ROBOT, checkpoint_of, edited, entry, log_of, rechained
-from tampering import changed_rows
+from fixtures.small_logs import ROBOT, checkpoint_of, edited, entry, log_of, rechained
+from fixtures.tampering import changed_rows
 
 SIZE = 300
 ROWS = log_of(SIZE)

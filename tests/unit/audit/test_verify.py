@@ -30,7 +30,7 @@ from authguard_r.core.chain import GENESIS, Link, link
 from authguard_r.core.encoding import MAX_BYTES, b64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
-from logs import ROBOT, checkpoint_of, edited, entry, log_of, rechained, root_of
+from fixtures.small_logs import ROBOT, checkpoint_of, edited, entry, log_of, rechained, root_of
 
 SIZE = 9
 ROWS = log_of(SIZE)

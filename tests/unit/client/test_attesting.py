@@ -8,23 +8,23 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.attesting import Attester, AttestingEnd
 from authguard_r.client.link import Log
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import Fault, Kind
+from fixtures import scenarios
 from unit.sim.desks import framed
 
 
 def end(readied: list[bool]) -> AttestingEnd:
-    signer = folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
+    signer = folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
     return AttestingEnd(
-        worlds.RID,
+        scenarios.RID,
         Attester(signer, epoch=1, rate_hz=20),
         Path("/nowhere"),
-        trust=lambda: read_trust(worlds.trust_folder()),
+        trust=lambda: read_trust(scenarios.trust_folder()),
         look=lambda now: None,
         ready=lambda: readied.append(True),
         log=Log(),

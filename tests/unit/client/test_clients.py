@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client import AsyncGateClient, GateClient
 from authguard_r.client.greeting import Greeting
 from authguard_r.client.start import begin
@@ -47,7 +46,8 @@ from authguard_r.wire.messages import (
     Stood,
     Stop,
 )
-from scripted import Peer, Talk, listening, welcome_of
+from fixtures import scenarios
+from fixtures.scripted_peer import Peer, Talk, listening, welcome_of
 
 OPERATOR, PLANNER = ClientRole.OPERATOR, ClientRole.PLANNER
 CONTROLLER, ESTIMATOR = ClientRole.CONTROLLER, ClientRole.ESTIMATOR
@@ -220,7 +220,7 @@ def test_a_plan_s_steps_are_told_as_they_are_decided_then_the_whole(face: Face) 
 def test_the_welcome_says_whose_gate_it_is_and_how_it_works(face: Face) -> None:
     with listening(silent()) as path:
         said = face(path, OPERATOR, lambda c: c.welcome, client="desk-1")
-    assert (said.robot, said.mode, said.client) == (worlds.RID, Mode.ENFORCE, "desk-1")
+    assert (said.robot, said.mode, said.client) == (scenarios.RID, Mode.ENFORCE, "desk-1")
 
 
 def test_answers_find_their_requests_in_any_order_and_in_pieces() -> None:
@@ -418,14 +418,14 @@ def proving(**changes: Any) -> Talk:
     return talk
 
 
-def held_to(robot: str | None = worlds.RID) -> dict[str, Any]:
-    return {"verifier": read_trust(worlds.trust_folder()), "robot": robot}
+def held_to(robot: str | None = scenarios.RID) -> dict[str, Any]:
+    return {"verifier": read_trust(scenarios.trust_folder()), "robot": robot}
 
 
-@pytest.mark.parametrize("robot", [worlds.RID, None])
+@pytest.mark.parametrize("robot", [scenarios.RID, None])
 def test_a_gate_that_holds_its_key_is_believed(face: Face, robot: str | None) -> None:
     with listening(proving()) as path:
-        assert face(path, PLANNER, lambda c: c.welcome, **held_to(robot)).robot == worlds.RID
+        assert face(path, PLANNER, lambda c: c.welcome, **held_to(robot)).robot == scenarios.RID
 
 
 @pytest.mark.parametrize(
@@ -434,12 +434,16 @@ def test_a_gate_that_holds_its_key_is_believed(face: Face, robot: str | None) ->
         ({"proof": None}, Reason.SIGNATURE_INVALID),
         ({"proof_nonce": "A" * 22}, Reason.SIGNATURE_INVALID),
         ({"proof_role": OPERATOR}, Reason.SIGNATURE_INVALID),
-        ({"proof_robot": worlds.OTHER}, Reason.ROBOT_MISMATCH),
+        ({"proof_robot": scenarios.OTHER}, Reason.ROBOT_MISMATCH),
         ({"signer": "operator-1"}, Reason.ROLE_DENIED),
-        ({"signer": f"gate-{worlds.OTHER}"}, Reason.ROBOT_MISMATCH),
-        ({"robot": worlds.OTHER}, Reason.ROBOT_MISMATCH),
+        ({"signer": f"gate-{scenarios.OTHER}"}, Reason.ROBOT_MISMATCH),
+        ({"robot": scenarios.OTHER}, Reason.ROBOT_MISMATCH),
         (
-            {"robot": worlds.OTHER, "proof_robot": worlds.OTHER, "signer": f"gate-{worlds.OTHER}"},
+            {
+                "robot": scenarios.OTHER,
+                "proof_robot": scenarios.OTHER,
+                "signer": f"gate-{scenarios.OTHER}",
+            },
             Reason.ROBOT_MISMATCH,
         ),
     ],
@@ -454,7 +458,7 @@ def test_a_gate_that_is_not_the_one_that_was_meant_is_not_believed(
 
 def test_another_robot_s_gate_is_refused_without_a_proof_too(face: Face) -> None:
     with listening(silent()) as path:
-        error = caught(face, path, OPERATOR, lambda c: c.welcome, robot=worlds.OTHER)
+        error = caught(face, path, OPERATOR, lambda c: c.welcome, robot=scenarios.OTHER)
     assert (type(error), error.reason) == (AuthenticityError, Reason.ROBOT_MISMATCH)
 
 
@@ -921,7 +925,7 @@ def test_a_controller_hears_what_it_is_told_and_says_how_it_ended() -> None:
     async def talk(peer: Peer) -> None:
         hello = await peer.welcome()
         assert hello.role is CONTROLLER
-        peer.send(Kind.RENEW, 0, Renew(ticket=worlds.verified().digest))
+        peer.send(Kind.RENEW, 0, Renew(ticket=scenarios.verified().digest))
         peer.send(Kind.HALT, 77, Halt())
         peer.event(0, stops=1)
         number, message = await peer.request()
@@ -933,7 +937,7 @@ def test_a_controller_hears_what_it_is_told_and_says_how_it_ended() -> None:
     async def act(client: AsyncGateClient) -> list[Any]:
         frames = client.frames()
         told = [(await anext(frames)).kind for _ in range(3)]
-        report = Ended(ticket=worlds.verified().digest, outcome=Outcome.SUCCEEDED)
+        report = Ended(ticket=scenarios.verified().digest, outcome=Outcome.SUCCEEDED)
         number = await client.send(Kind.ENDED, report)
         await client.send(Kind.STOOD, Stood(stops=1), number=77)
         answer = await anext(frames)

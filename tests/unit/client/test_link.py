@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.driver import BOUNDS
 from authguard_r.client.link import MAX_UNREAD, Caller, Log
@@ -23,6 +22,7 @@ from authguard_r.core.identifiers import Identifier
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import ClientRole
+from fixtures import scenarios
 from integration.scripted_gate import gate_at, proved
 
 
@@ -47,8 +47,8 @@ def caller(path: Path, listener: Heard, trust: Path | None = None) -> Caller:
         path,
         role=ClientRole.CONTROLLER,
         client=Identifier("controller-1"),
-        robot=worlds.RID,
-        trust=lambda: read_trust(trust or worlds.trust_folder()),
+        robot=scenarios.RID,
+        trust=lambda: read_trust(trust or scenarios.trust_folder()),
         bounds=BOUNDS,
         listener=listener,
         log=Log(),
@@ -106,10 +106,10 @@ def test_a_server_that_reads_nothing_is_let_go(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, heard = tmp_path / "gate.sock", Heard()
-    signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
+    signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
 
     async def talk() -> None:
-        with gate_at(path, proved(signer, worlds.RID)) as gate:
+        with gate_at(path, proved(signer, scenarios.RID)) as gate:
             line = caller(path, heard)
             staying = asyncio.ensure_future(line.stay())
             await asyncio.to_thread(gate.accept)

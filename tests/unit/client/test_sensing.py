@@ -11,18 +11,18 @@ from tempfile import mkdtemp
 
 import pytest
 
-import worlds
 from authguard_r.client.attesting import Seen
 from authguard_r.client.link import Log
 from authguard_r.client.sensing import SENSORS, listen, read_raw
 from authguard_r.sim.sensors import reading_frame
 from authguard_r.sim.sight import snapshot_of
+from fixtures import scenarios
 
 PATIENCE_S = 20.0
 
 
-def raw(rid: str = worlds.RID) -> bytes:
-    return reading_frame(snapshot_of(worlds.world(), robot=rid, epoch=0, seq=0), 1_000)
+def raw(rid: str = scenarios.RID) -> bytes:
+    return reading_frame(snapshot_of(scenarios.world(), robot=rid, epoch=0, seq=0), 1_000)
 
 
 async def until(holds: Callable[[], object]) -> None:
@@ -35,7 +35,7 @@ async def told(run: Path, said: list[bytes]) -> list[Seen]:
     """Serve one thing to each connection, the last again and again; return what was taken."""
     found: list[Seen] = []
     listening = asyncio.ensure_future(
-        listen(run, lambda item, now: found.append(read_raw(item, now, worlds.RID)), Log())
+        listen(run, lambda item, now: found.append(read_raw(item, now, scenarios.RID)), Log())
     )
     await asyncio.sleep(0)  # nobody is there yet
     open_ones: list[asyncio.StreamWriter] = []
@@ -62,9 +62,9 @@ def test_what_is_wrong_ends_a_connection_and_the_next_is_made(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = Path(mkdtemp(prefix="ag-", dir="/tmp"))
-    said = [b"", b"\xff" * 64, raw(worlds.OTHER), raw()]
+    said = [b"", b"\xff" * 64, raw(scenarios.OTHER), raw()]
     found = asyncio.run(told(run, said))
-    assert [one.snapshot.robot for one in found] == [worlds.RID]
+    assert [one.snapshot.robot for one in found] == [scenarios.RID]
     lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
     events = [line["event"] for line in lines]
     assert events[0] == "unreachable"

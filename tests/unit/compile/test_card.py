@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.compile import spoken
 from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.compile.card import Demand, card_digest, review
@@ -25,6 +24,8 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
 from authguard_r.enforcement import evaluate
 from authguard_r.site.source import convert
+from fixtures import scenarios
+from fixtures.cases import case
 
 SET = msgspec.structs.replace
 INTEGERS = st.integers(min_value=-(2**53) + 1, max_value=2**53 - 1)
@@ -58,8 +59,8 @@ def rich() -> Mission:
         "grants[2].until": ["place-at-101"],
         "objects": ["package-p1", "package-p2"],
     }
-    draft = apply(worlds.draft(), edits)
-    return compile_plain(draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
+    draft = apply(scenarios.draft(), edits)
+    return compile_plain(draft, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
 
 
 def other(value: Any) -> Any:
@@ -114,7 +115,7 @@ def plain_of(mission: Mission) -> Any:
 
 
 def test_every_signed_field_that_differs_is_on_the_card_and_in_the_comparison() -> None:
-    mission, site = rich(), worlds.site()
+    mission, site = rich(), scenarios.site()
     card, count = review(mission, site), 0
     for name, plain in edits(plain_of(mission)):
         changed = convert(plain, Mission, where=name)
@@ -130,7 +131,7 @@ def test_every_signed_field_that_differs_is_on_the_card_and_in_the_comparison() 
 
 def test_the_order_of_sets_that_have_no_order_is_the_schemas_to_refuse() -> None:
     """Reversed sets read alike on neither card: the schema lets one spelling pass."""
-    mission, site = rich(), worlds.site()
+    mission, site = rich(), scenarios.site()
     card = review(mission, site)
     alike = [
         name
@@ -141,14 +142,14 @@ def test_the_order_of_sets_that_have_no_order_is_the_schemas_to_refuse() -> None
 
 
 def test_a_card_is_deterministic_and_its_digest_is_of_its_bytes() -> None:
-    first, second = review(rich(), worlds.site()), review(rich(), worlds.site())
+    first, second = review(rich(), scenarios.site()), review(rich(), scenarios.site())
     assert first == second
     assert card_digest(first) == card_digest(second)
     assert card_digest(first) != card_digest((*first[:-1], first[-1] + " "))
 
 
 def test_the_card_reads_in_human_units() -> None:
-    card = "\n".join(review(rich(), worlds.site()))
+    card = "\n".join(review(rich(), scenarios.site()))
     for text in (
         "(25 min)",
         "battery_permille is at least 20 %, read at most 2 s ago",
@@ -171,7 +172,7 @@ def test_the_card_reads_in_human_units() -> None:
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_what_can_hurt_is_marked_with_its_degree(degree: int) -> None:
-    site = worlds.site()
+    site = scenarios.site()
     drive = SET(site.vocabulary["navigate"], physical=degree)
     site = SET(site, vocabulary={**site.vocabulary, "navigate": drive})
     card = "\n".join(review(rich(), site))
@@ -180,7 +181,7 @@ def test_what_can_hurt_is_marked_with_its_degree(degree: int) -> None:
 
 
 def test_only_the_version_after_that_names_the_digest_is_the_next_one() -> None:
-    old = worlds.mission()
+    old = scenarios.mission()
     new = SET(old, version=2, supersedes=digest_of(Tag.MISSION, old))
     assert is_next(old, new)
     for wrong in (
@@ -196,7 +197,7 @@ def test_only_the_version_after_that_names_the_digest_is_the_next_one() -> None:
 
 
 def test_risks_are_marked_and_what_is_withheld_is_said() -> None:
-    card = "\n".join(review(rich(), worlds.site()))
+    card = "\n".join(review(rich(), scenarios.site()))
     assert "up to 40 s each  [PRIVACY, IRREVERSIBLE]" in card
     assert "up to 20 s each  [FORCE]" in card
     assert "up to 3 min each  [MOTION]" in card
@@ -206,13 +207,15 @@ def test_risks_are_marked_and_what_is_withheld_is_said() -> None:
     assert "It never enters: isolation-room, office-1" in card
     assert "It never handles: package-p2, sharps-bin" in card
     assert "Withheld rights to sensor data: transmit" in card
-    draft = apply(worlds.draft(), {"grants[2].rows[0].regions[3]": "office-1"})
+    draft = apply(scenarios.draft(), {"grants[2].rows[0].regions[3]": "office-1"})
     draft = apply(draft, {"grants[2].rows[0].regions[4]": "plant-room"})
-    private = compile_plain(draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
-    assert "[PRIVATE: office-1, HAZARDOUS: plant-room]" in "\n".join(review(private, worlds.site()))
-    sharps = apply(worlds.draft(), {"grants[1].rows[0].object": "Sharps Bin"})
-    bin_ = compile_plain(sharps, worlds.site(), now=worlds.NOW, nonce="A" * 22)
-    assert "[HAZARDOUS: sharps-bin]" in "\n".join(review(bin_, worlds.site()))
+    private = compile_plain(draft, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
+    assert "[PRIVATE: office-1, HAZARDOUS: plant-room]" in "\n".join(
+        review(private, scenarios.site())
+    )
+    sharps = apply(scenarios.draft(), {"grants[1].rows[0].object": "Sharps Bin"})
+    bin_ = compile_plain(sharps, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
+    assert "[HAZARDOUS: sharps-bin]" in "\n".join(review(bin_, scenarios.site()))
 
 
 @given(
@@ -224,21 +227,21 @@ def test_risks_are_marked_and_what_is_withheld_is_said() -> None:
 def test_the_card_asks_as_many_as_the_gate_asks_of_the_riskiest_action(
     thresholds: list[int], people: int, navigate: int
 ) -> None:
-    mission, site = worlds.mission(), worlds.site()
+    mission, site = scenarios.mission(), scenarios.site()
     own = mission.risk_policy
     types = {**own.types, "navigate": navigate}
     theirs = SET(own, tau_1=thresholds[0], tau_2=thresholds[1], t=people, types=types)
     demand = Demand(organization="hospital", version=1, policy=theirs)
     lines = review(mission, site, demand=demand)
     said = next(line.strip() for line in lines if line.startswith("    asks "))
-    verified = worlds.verified(mission)
+    verified = scenarios.verified(mission)
     judged = evaluate(
         verified,
-        worlds.navigate("dock", "pharmacy", speed=800),
-        state=worlds.state(),
-        facts=SET(worlds.facts(), risk=(theirs,)),
-        now=worlds.NOW,
-        standing=worlds.active(verified),
+        scenarios.navigate("dock", "pharmacy", speed=800),
+        state=scenarios.state(),
+        facts=SET(scenarios.facts(), risk=(theirs,)),
+        now=scenarios.NOW,
+        standing=scenarios.active(verified),
     )
     need = judged.decision.need
     assert need is not None
@@ -250,28 +253,28 @@ def test_the_card_asks_as_many_as_the_gate_asks_of_the_riskiest_action(
 
 
 def test_roles_that_no_two_policies_share_are_said_to_be_nobody() -> None:
-    own = worlds.mission().risk_policy
+    own = scenarios.mission().risk_policy
     policy = SET(own, roles=("site_authority",), valid_ms=own.valid_ms * 2)
     demand = Demand(organization="hospital", version=3, policy=policy)
-    card = review(worlds.mission(), worlds.site(), demand=demand)
+    card = review(scenarios.mission(), scenarios.site(), demand=demand)
     line = "  of the roles that both name: none, so nobody can answer; a request lives 2 min"
     assert line in card
-    alone = review(worlds.mission(), worlds.site())
+    alone = review(scenarios.mission(), scenarios.site())
     assert sum("--risk-policy" in line for line in alone) == 1
 
 
 def test_a_chooser_that_an_attacker_can_be_is_said_in_full() -> None:
-    draft = apply(worlds.draft(), {"grants[0].chooser": "planner"})
-    mission = compile_plain(draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
-    card = review(mission, worlds.site())
+    draft = apply(scenarios.draft(), {"grants[0].chooser": "planner"})
+    mission = compile_plain(draft, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
+    card = review(mission, scenarios.site())
     assert "    chosen by: planner: every row, also one that an attacker picks" in card
 
 
 @pytest.mark.parametrize("mark", ["\n", "\r", "\x1b[2K", "\u202e", "\u2028", '"', "\\", "\x00"])
 def test_a_task_cannot_write_lines_of_the_card_or_turn_them(mark: str) -> None:
     task = f"Carry P1.{mark}It does NOT grant: everything"
-    card = review(SET(worlds.mission(), task=task), worlds.site())
-    assert len(card) == len(review(worlds.mission(), worlds.site()))
+    card = review(SET(scenarios.mission(), task=task), scenarios.site())
+    assert len(card) == len(review(scenarios.mission(), scenarios.site()))
     assert all(line.isprintable() for line in card)
     assert f"\\u{{{ord(mark[0]):x}}}" in card[1]
 
@@ -279,23 +282,23 @@ def test_a_task_cannot_write_lines_of_the_card_or_turn_them(mark: str) -> None:
 def test_a_card_for_a_site_that_knows_nothing_of_it_still_says_what_is_signed() -> None:
     mission = rich()
     foreign = SET(mission, rid="stranger", regions=("moon",), objects=())
-    card = "\n".join(review(foreign, worlds.site()))
+    card = "\n".join(review(foreign, scenarios.site()))
     assert "nobody can say whom it asks" in card
     assert "nothing that this robot can do" in card
     assert "only with objects: none" in card
     assert "only in regions: moon" in card
     row = SET(mission.actions[0].alternatives[0], object="ghost", regions=("moon",))
     odd = SET(mission.actions[0], alternatives=(row,))
-    everywhere = tuple(worlds.site().regions)
+    everywhere = tuple(scenarios.site().regions)
     strange = SET(mission, actions=(odd,), regions=everywhere, closing=None, supersedes=None)
-    card = "\n".join(review(strange, worlds.site()))
+    card = "\n".join(review(strange, scenarios.site()))
     assert "ghost, from dock to pharmacy, within moon" in card
     assert "no region is closed" in card
     assert "Withheld rights to sensor data: record, store, transmit" in card
 
 
 def test_a_mission_that_leaves_nothing_out_says_so() -> None:
-    mission, site = rich(), worlds.site()
+    mission, site = rich(), scenarios.site()
     rows = tuple(
         SET(mission.actions[1].alternatives[0], object=item) for item in sorted(site.objects)
     )
@@ -360,43 +363,46 @@ def both(field: str, value: Any) -> tuple[Mission, Mission]:
     draft = to_draft(rich())
     plain = msgspec.json.decode(msgspec.json.encode(draft))
     missions = [
-        compile_plain(item, worlds.site(), now=worlds.NOW, nonce="A" * 22)
+        compile_plain(item, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
         for item in (plain, apply(plain, {field: value}))
     ]
     return missions[0], missions[1]
 
 
-@pytest.mark.parametrize("field", WIDER)
-def test_what_lets_more_pass_is_widening_and_comes_first(field: str) -> None:
-    old, new = both(field, WIDER[field])
-    lines = compare(old, new, worlds.site())
-    assert lines[0].startswith("ADDS    ")
-    assert not compare(new, old, worlds.site())[-1].startswith(("ADDS", "changes"))
-    if field != "risk_policy.types":
-        assert {line.split()[0] for line in lines} == {"ADDS"}
-        assert {line.split()[0] for line in compare(new, old, worlds.site())} == {"removes"}
+def test_what_lets_more_pass_is_widening_and_comes_first() -> None:
+    for field, value in WIDER.items():
+        with case(field):
+            old, new = both(field, value)
+            lines = compare(old, new, scenarios.site())
+            assert lines[0].startswith("ADDS    ")
+            assert not compare(new, old, scenarios.site())[-1].startswith(("ADDS", "changes"))
+            if field != "risk_policy.types":
+                assert {line.split()[0] for line in lines} == {"ADDS"}
+                assert {line.split()[0] for line in compare(new, old, scenarios.site())} == {
+                    "removes"
+                }
 
 
 @pytest.mark.parametrize("field", NEUTRAL)
 def test_what_is_only_different_is_neither(field: str) -> None:
     old, new = both(field, NEUTRAL[field])
-    assert {line.split()[0] for line in compare(old, new, worlds.site())} == {"changes"}
+    assert {line.split()[0] for line in compare(old, new, scenarios.site())} == {"changes"}
 
 
 def test_a_limit_that_comes_or_goes_is_a_permission_of_a_grant_and_a_bound_of_a_mission() -> None:
     old, new = both("limits", {"force_mn": ["1 N", "2 N"], "speed_mm_s": ["0.05 m/s", "0.8 m/s"]})
-    assert {line.split()[0] for line in compare(old, new, worlds.site())} == {"removes"}
+    assert {line.split()[0] for line in compare(old, new, scenarios.site())} == {"removes"}
     grant = new.actions[0]
     more = SET(grant, limits=(new.limits[0], *grant.limits))
     wider = SET(new, actions=(more, *new.actions[1:]))
-    assert compare(new, wider, worlds.site()) == (
+    assert compare(new, wider, scenarios.site()) == (
         "ADDS    go-to-pharmacy: force_mn at least 1 N",
         "ADDS    go-to-pharmacy: force_mn at most 2 N",
     )
 
 
 def test_a_new_grant_is_all_new_and_a_gone_one_is_gone_by_its_rows() -> None:
-    mission, site = rich(), worlds.site()
+    mission, site = rich(), scenarios.site()
     fewer = SET(mission, actions=mission.actions[:-1])
     added, removed = compare(fewer, mission, site), compare(mission, fewer, site)
     assert removed == ("removes film: record_video from pharmacy, within pharmacy",)
@@ -406,7 +412,7 @@ def test_a_new_grant_is_all_new_and_a_gone_one_is_gone_by_its_rows() -> None:
 
 
 def test_closing_that_comes_is_widening_and_that_goes_is_narrowing() -> None:
-    mission, site = rich(), worlds.site()
+    mission, site = rich(), scenarios.site()
     over = SET(mission, closing=None)
     assert compare(over, mission, site) == (
         "ADDS    stays open once complete: go-home",
@@ -416,7 +422,7 @@ def test_closing_that_comes_is_widening_and_that_goes_is_narrowing() -> None:
 
 
 def test_the_same_condition_twice_is_not_the_same_as_once() -> None:
-    mission, site = rich(), worlds.site()
+    mission, site = rich(), scenarios.site()
     twice = SET(mission, guards=mission.guards * 2)
     (line,) = compare(mission, twice, site)
     assert line.startswith("removes only while battery_permille")

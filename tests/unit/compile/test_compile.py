@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.card import compare, review
@@ -23,13 +22,14 @@ from authguard_r.core.mission import DataRights, Limit
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
+from fixtures import scenarios
 
 SET = msgspec.structs.replace
 
 
 def changed(number: int, **changes: Any) -> dict[str, Any]:
     """Return the draft with one grant changed; a value of None takes the field away."""
-    draft = worlds.draft()
+    draft = scenarios.draft()
     grant = {**draft["grants"][number], **changes}
     grants = list(draft["grants"])
     grants[number] = {k: v for k, v in grant.items() if v is not None}
@@ -38,7 +38,7 @@ def changed(number: int, **changes: Any) -> dict[str, Any]:
 
 def build(draft: dict[str, Any]) -> Any:
     return compile_draft(
-        convert(draft, Draft, where="draft"), worlds.site(), now=worlds.NOW, nonce="A" * 22
+        convert(draft, Draft, where="draft"), scenarios.site(), now=scenarios.NOW, nonce="A" * 22
     )
 
 
@@ -50,10 +50,10 @@ def build(draft: dict[str, Any]) -> Any:
         (changed(1, starts=None), "grants[1].starts"),
         (changed(1, max=None), "grants[1].max"),
         (changed(1, irreversible=None), "grants[1].irreversible"),
-        ({k: v for k, v in worlds.draft().items() if k != "budgets"}, "budgets.actions"),
-        ({k: v for k, v in worlds.draft().items() if k != "risk_policy"}, "risk_policy.privacy"),
-        (worlds.draft(budgets={"actions": 1, "rate": {}}), "budgets.rate.count"),
-        (worlds.draft(closing={"grants": ["go-home"]}), "closing.for"),
+        ({k: v for k, v in scenarios.draft().items() if k != "budgets"}, "budgets.actions"),
+        ({k: v for k, v in scenarios.draft().items() if k != "risk_policy"}, "risk_policy.privacy"),
+        (scenarios.draft(budgets={"actions": 1, "rate": {}}), "budgets.rate.count"),
+        (scenarios.draft(closing={"grants": ["go-home"]}), "closing.for"),
     ],
 )
 def test_what_is_absent_is_asked_for(draft: dict[str, Any], field: str) -> None:
@@ -85,7 +85,7 @@ def test_recording_storing_and_transmitting_are_each_asked_about(given: dict[str
 def test_rights_that_were_given_are_on_the_card() -> None:
     mission = build(changed(1, **VIDEO, data={"record": True, "store": False}))
     assert mission.actions[1].data == DataRights(record=True)
-    card = review(mission, worlds.site())
+    card = review(mission, scenarios.site())
     assert any("MAY record sensor data" in line for line in card)
     assert any("[PRIVACY]" in line for line in card)
 
@@ -111,10 +111,10 @@ def test_words_that_the_site_does_not_have_are_refused(rows: list[Any], where: s
 
 
 def test_ceilings_may_be_wider_or_narrower_but_not_unknown() -> None:
-    assert build(worlds.draft(objects=[])).objects == ()
-    assert build(worlds.draft(regions=["dock"])).regions == ("dock",)
+    assert build(scenarios.draft(objects=[])).objects == ()
+    assert build(scenarios.draft(regions=["dock"])).regions == ("dock",)
     with pytest.raises(MalformedError, match="NAME_UNKNOWN"):
-        build(worlds.draft(objects=["nothing"]))
+        build(scenarios.draft(objects=["nothing"]))
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_what_two_types_measure_differently_is_read_in_each_grant_s_own_unit() -
     for number in (0, 2):  # `creep` and `navigate`
         draft = apply(draft, {f"grants[{number}].limits": {"speed_mm_s": [low, high]}})
     draft = apply(draft, {"grants[2].type": "creep"})
-    mission = compile_plain(draft, site, now=worlds.NOW, nonce="A" * 22)
+    mission = compile_plain(draft, site, now=scenarios.NOW, nonce="A" * 22)
     assert [mission.actions[n].limits[0].high for n in (0, 2)] == [500, 50]
     lines = [line for line in review(mission, site) if line.startswith("    speed_mm_s from 0 ")]
     assert lines == [
@@ -189,13 +189,13 @@ def raised(grant: Any) -> Any:
 
 def without_totals() -> dict[str, Any]:
     """Return the shipped draft without bounds and scales that hold for every type."""
-    plain = worlds.draft()
+    plain = scenarios.draft()
     return {**plain, "limits": {}, "risk_policy": {**plain["risk_policy"], "parameters": []}}
 
 
 def two_units() -> Site:
     """Return a site whose types disagree; `site check` refuses it, an older signature may not."""
-    site = worlds.site()
+    site = scenarios.site()
     model = site.vocabulary[ActionType("navigate")]
     speed = ParameterId("speed_mm_s")
     creep = SET(model, params={speed: SET(model.params[speed], unit="cm/s")})
@@ -217,13 +217,13 @@ def test_bounds_of_the_whole_mission_on_what_types_measure_differently_are_refus
     risk = {"parameter": "speed_mm_s", "full_scale": "1 m/s", "weight": 5}
     draft["risk_policy"] = {**draft["risk_policy"], "parameters": [risk]}
     with pytest.raises(MalformedError, match=r"expected one unit .*, got cm/s, mm/s") as caught:
-        compile_plain(draft, two_units(), now=worlds.NOW, nonce="A" * 22)
+        compile_plain(draft, two_units(), now=scenarios.NOW, nonce="A" * 22)
     assert caught.value.where.endswith(where)
 
 
 def test_a_bound_on_what_types_measure_differently_is_shown_as_it_is_signed() -> None:
     speed = ParameterId("speed_mm_s")
-    assert unit_of(speed, worlds.site()) == "mm/s"
+    assert unit_of(speed, scenarios.site()) == "mm/s"
     assert unit_of(speed, two_units(), ActionType("creep")) == "cm/s"
     assert unit_of(speed, two_units(), ActionType("navigate")) == "mm/s"
     assert unit_of(ParameterId("nothing_mm"), two_units(), ActionType("creep")) == "count"
@@ -238,7 +238,7 @@ def test_limits_wait_for_the_type_that_gives_them_their_unit() -> None:
         compile_plain(
             {**draft, "grants": [{**draft["grants"][0], "type": None}]},
             two_units(),
-            now=worlds.NOW,
+            now=scenarios.NOW,
             nonce="A" * 22,
         )
     asked = {e.field for e in (caught.value, *caught.value.others)}
@@ -247,44 +247,46 @@ def test_limits_wait_for_the_type_that_gives_them_their_unit() -> None:
 
 
 def test_a_draft_made_of_a_mission_compiles_to_that_mission() -> None:
-    for mission in (worlds.mission(), SET(worlds.mission(), closing=None)):
+    for mission in (scenarios.mission(), SET(scenarios.mission(), closing=None)):
         assert build(to_draft(mission)) == mission
 
 
 def test_an_irreversible_grant_and_a_robot_of_another_site_are_shown() -> None:
     mission = build(changed(1, irreversible=True))
-    assert any("IRREVERSIBLE" in line for line in review(mission, worlds.site()))
+    assert any("IRREVERSIBLE" in line for line in review(mission, scenarios.site()))
     foreign = SET(mission, rid="stranger")
-    assert any("nothing that this robot can do" in line for line in review(foreign, worlds.site()))
+    assert any(
+        "nothing that this robot can do" in line for line in review(foreign, scenarios.site())
+    )
     odd = SET(mission, actions=(SET(mission.actions[0], type="dance"), *mission.actions[1:]))
-    assert review(odd, worlds.site())
+    assert review(odd, scenarios.site())
 
 
 def test_a_comparison_shows_what_is_added_first() -> None:
-    old, new = worlds.mission(), worlds.mission("mission-v2.yaml", supersedes="A" * 43)
-    lines = compare(old, new, worlds.site())
+    old, new = scenarios.mission(), scenarios.mission("mission-v2.yaml", supersedes="A" * 43)
+    lines = compare(old, new, scenarios.site())
     kinds = [line.split()[0] for line in lines]
     assert kinds == sorted(kinds, key=["ADDS", "changes", "removes"].index)
     assert {"ADDS", "changes", "removes"} == set(kinds)
-    assert compare(old, old, worlds.site()) == ("changes no permission",)
+    assert compare(old, old, scenarios.site()) == ("changes no permission",)
 
 
 def test_what_no_signature_can_mend_has_no_change() -> None:
-    mission = worlds.mission()
+    mission = scenarios.mission()
     fields = {
         "grant": mission.actions[0].id,
         "digest": digest_of(Tag.MISSION, mission),
         "nonce": "B" * 22,
         "expiry": mission.expiry,
     }
-    action = worlds.navigate("dock", "pharmacy")
+    action = scenarios.navigate("dock", "pharmacy")
     for reasons in ((), (Reason.STATE_STALE,), (Reason.DESTINATION_OUT_OF_SCOPE, Reason.REVOKED)):
         assert smallest_change(mission, action, reasons=reasons, **fields) is None
 
 
 def test_an_expired_mission_is_extended_and_a_parameter_gets_its_bounds() -> None:
-    mission = worlds.mission()
-    action = worlds.navigate(
+    mission = scenarios.mission()
+    action = scenarios.navigate(
         "dock", "pharmacy", speed=1_000, params={"speed_mm_s": 1_000, "x_mm": 3}
     )
     reasons = (Reason.EXPIRED, Reason.PARAMETER_OUT_OF_BOUNDS, Reason.PARAMETER_NOT_ALLOWED)
@@ -306,9 +308,9 @@ def test_an_expired_mission_is_extended_and_a_parameter_gets_its_bounds() -> Non
 
 def test_a_task_that_utf8_cannot_spell_and_an_instant_of_another_form_are_refused() -> None:
     with pytest.raises(MalformedError) as refused:
-        build(worlds.draft(task="Bring \ud800."))
+        build(scenarios.draft(task="Bring \ud800."))
     assert refused.value.where == "task"
     for instant in ("2030-01-01T14:30", "2030-01-01T14:30:00+02:00", "2030-02-30T14:30:00Z"):
         window = {"not_before": instant, "expiry": "2031-01-01T00:00:00Z"}
         with pytest.raises(MalformedError):
-            build(worlds.draft(window=window))
+            build(scenarios.draft(window=window))

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.compile.conditions import can_hold, real_guards
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.mission import Comparison, Guard
 from authguard_r.core.provenance import Label
 from authguard_r.core.state import Reading, Snapshot
+from fixtures import scenarios
+from fixtures.cases import case
 
 TOP = MAX_INTEGER
 
@@ -24,9 +25,8 @@ def guard(variable: str, comparison: str, value: Any) -> Guard:
     return Guard(variable=variable, comparison=Comparison(comparison), value=value, max_age_ms=9)
 
 
-@pytest.mark.parametrize(
-    ("variable", "comparison", "value", "is_real"),
-    [
+def test_a_guard_is_one_when_some_value_fails_it() -> None:
+    for variable, comparison, value, is_real in [
         ("battery_permille", "ge", 0, False),
         ("battery_permille", "ge", 1, True),
         ("battery_permille", "gt", -1, False),
@@ -53,13 +53,10 @@ def guard(variable: str, comparison: str, value: Any) -> Guard:
         ("holding", "ne", "nothing", True),
         ("battery_permille", "ne", "low", True),
         ("battery_permille", "ne", True, True),
-    ],
-)
-def test_a_guard_is_one_when_some_value_fails_it(
-    variable: str, comparison: str, value: Any, is_real: bool
-) -> None:
-    asked = guard(variable, comparison, value)
-    assert real_guards((asked,)) == ((asked,) if is_real else ())
+    ]:
+        with case(variable, comparison, value, is_real):
+            asked = guard(variable, comparison, value)
+            assert real_guards((asked,)) == ((asked,) if is_real else ())
 
 
 @pytest.mark.parametrize(
@@ -101,11 +98,11 @@ def holds(asked: Guard, value: int) -> bool:
     reading = Reading(value=value, label=Label.TRUSTED_SENSOR, age_ms=0)
     readings = {"battery_permille": reading}
     snapshot = Snapshot(**{**fields(), "readings": readings})
-    return guard_finding(asked, worlds.attested(snapshot), worlds.RID, worlds.NOW) is None
+    return guard_finding(asked, scenarios.attested(snapshot), scenarios.RID, scenarios.NOW) is None
 
 
 def fields() -> dict[str, Any]:
-    snapshot = worlds.state().snapshot
+    snapshot = scenarios.state().snapshot
     return {name: getattr(snapshot, name) for name in snapshot.__struct_fields__}
 
 

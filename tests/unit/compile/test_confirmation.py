@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.compile.card import card_digest, review
 from authguard_r.compile.confirmation import (
@@ -22,25 +21,26 @@ from authguard_r.compile.confirmation import (
 from authguard_r.compile.findings import Code
 from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
+from fixtures import scenarios
 
 SET = msgspec.structs.replace
 
 
 def confirmed(**changes: Any) -> Confirmation:
-    mission = worlds.mission()
+    mission = scenarios.mission()
     said = confirm(
         mission,
-        card=card_digest(review(mission, worlds.site())),
+        card=card_digest(review(mission, scenarios.site())),
         how=How.INTERACTIVE,
         accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE),
-        now=worlds.NOW,
+        now=scenarios.NOW,
     )
     return SET(said, **changes)
 
 
 def test_a_confirmation_says_what_was_asked_shown_accepted_by_whom_and_when() -> None:
     said = confirmed()
-    mission = worlds.mission()
+    mission = scenarios.mission()
     assert json.loads(confirmation_bytes(said)) == {
         "schema": "authguard-r/confirmation/1",
         "mission": digest_of(Tag.MISSION, mission),
@@ -48,10 +48,10 @@ def test_a_confirmation_says_what_was_asked_shown_accepted_by_whom_and_when() ->
         "version": 1,
         "request": mission.task,
         "by": "operator-1",
-        "at_ms": worlds.START_MS,
+        "at_ms": scenarios.START_MS,
         "how": "interactive",
         "shown": True,
-        "card": card_digest(review(mission, worlds.site())),
+        "card": card_digest(review(mission, scenarios.site())),
         "accepted": ["BEYOND_PROFILE", "NEVER_ASKS"],
     }
     assert read_confirmation(confirmation_bytes(said), mission=mission) == said
@@ -71,7 +71,7 @@ def test_a_confirmation_says_what_was_asked_shown_accepted_by_whom_and_when() ->
 )
 def test_a_confirmation_that_is_not_this_signing_s_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(RefusedError, match="META_MISMATCH"):
-        read_confirmation(confirmation_bytes(confirmed(**changes)), mission=worlds.mission())
+        read_confirmation(confirmation_bytes(confirmed(**changes)), mission=scenarios.mission())
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_a_confirmation_that_is_not_this_signing_s_is_refused(changes: dict[str,
 )
 def test_what_is_no_confirmation_is_malformed(data: bytes) -> None:
     with pytest.raises(MalformedError):
-        read_confirmation(data, mission=worlds.mission())
+        read_confirmation(data, mission=scenarios.mission())
 
 
 def activation(sim: Any) -> dict[str, Any]:
@@ -108,16 +108,16 @@ def activation(sim: Any) -> dict[str, Any]:
 
 
 def test_an_activation_seals_the_confirmation_beside_the_token() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token(), confirmation=confirmation_bytes(confirmed()))
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token(), confirmation=confirmation_bytes(confirmed()))
     sealed = activation(sim)
     assert set(sealed) == {"token", "confirmation"}
     assert sealed["confirmation"] == json.loads(confirmation_bytes(confirmed()))
 
 
 def test_an_activation_without_one_says_so_in_the_record() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     sealed = activation(sim)
     assert set(sealed) == {"token", "confirmation"}
     assert sealed["confirmation"] == "none"
@@ -125,11 +125,11 @@ def test_an_activation_without_one_says_so_in_the_record() -> None:
 
 @pytest.mark.parametrize("data", [b"junk", confirmation_bytes(confirmed(mission="A" * 43))])
 def test_a_confirmation_that_does_not_fit_activates_nothing(data: bytes) -> None:
-    sim = worlds.simulation()
+    sim = scenarios.simulation()
     with pytest.raises(AuthGuardError):
-        sim.gate.management.activate(worlds.token(), confirmation=data)
+        sim.gate.management.activate(scenarios.token(), confirmation=data)
     assert sim.gate.management.standing("deliver-p1") is None
     assert sim.gate.ledger.run(lambda act: act.active()) is None
     kinds = [read_record(row.record, where="").kind for row in sim.gate.ledger.store.rows()]
     assert kinds == ["genesis", "refusal"]
-    assert sim.gate.management.activate(worlds.token()).status == "active"
+    assert sim.gate.management.activate(scenarios.token()).status == "active"

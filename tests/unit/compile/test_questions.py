@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.compile.answers import (
     apply,
     compile_answered,
@@ -30,12 +29,13 @@ from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Door
+from fixtures import scenarios
 
 SET = msgspec.structs.replace
 
 
 def build(draft: object, **answers: object) -> Mission:
-    return compile_plain(apply(draft, answers), worlds.site(), now=worlds.NOW, nonce="A" * 22)
+    return compile_plain(apply(draft, answers), scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
 
 
 def asked(draft: object) -> dict[str, tuple[str, ...]]:
@@ -50,7 +50,7 @@ def asked(draft: object) -> dict[str, tuple[str, ...]]:
 
 def without(*fields: str) -> Any:
     """Return the shipped draft with these fields taken out."""
-    draft = deepcopy(worlds.draft())
+    draft = deepcopy(scenarios.draft())
     for field in fields:
         parent: Any = draft
         *way, last = re.findall(r"[a-z_0-9]+", field)
@@ -109,16 +109,16 @@ def test_what_hangs_on_an_open_answer_waits_for_it() -> None:
 
 def test_without_a_robot_every_type_of_the_site_is_offered() -> None:
     found = asked(without("robot", "grants[1].type"))
-    assert found["grants[1].type"] == tuple(sorted(set(worlds.site().vocabulary) - {"set_pose"}))
+    assert found["grants[1].type"] == tuple(sorted(set(scenarios.site().vocabulary) - {"set_pose"}))
 
 
 def test_a_mission_that_does_nothing_is_asked_what_it_does() -> None:
-    assert list(asked(apply(worlds.draft(), {"grants": [], "closing": None}))) == ["grants"]
+    assert list(asked(apply(scenarios.draft(), {"grants": [], "closing": None}))) == ["grants"]
 
 
 def test_bring_the_package_to_the_office_asks_which_and_where() -> None:
     draft = apply(
-        worlds.draft(task="Bring the package to the office."),
+        scenarios.draft(task="Bring the package to the office."),
         {"grants[3].rows[0]": {"source": "station-101"}},
     )
     found = asked(draft)
@@ -128,7 +128,7 @@ def test_bring_the_package_to_the_office_asks_which_and_where() -> None:
 
 def test_inspect_the_room_asks_about_recording_storing_and_sending() -> None:
     film = {"id": "film", "type": "record_video", "tool": "camera"}
-    found = asked(apply(worlds.draft(), {"grants[6]": film}))
+    found = asked(apply(scenarios.draft(), {"grants[6]": film}))
     assert found["grants[6].data.record"] == ("true", "false")
     assert found["grants[6].data.store"] == ("true", "false")
     assert "grants[6].data.transmit" not in found  # this type sends nothing
@@ -148,7 +148,7 @@ def test_inspect_the_room_asks_about_recording_storing_and_sending() -> None:
 )
 def test_a_time_without_its_date_is_asked_about(text: str, candidates: Any) -> None:
     draft = apply(
-        worlds.draft(), {"window": {"not_before": "2026-01-01T00:00:00Z", "expiry": text}}
+        scenarios.draft(), {"window": {"not_before": "2026-01-01T00:00:00Z", "expiry": text}}
     )
     found = asked(draft)["window.expiry"]
     if candidates is None:
@@ -157,40 +157,40 @@ def test_a_time_without_its_date_is_asked_about(text: str, candidates: Any) -> N
         from authguard_r.core.quantities import to_timestamp
 
         clock, *days = candidates
-        starts = [to_timestamp(worlds.START_MS + day * 86_400_000)[:10] for day in days]
+        starts = [to_timestamp(scenarios.START_MS + day * 86_400_000)[:10] for day in days]
         assert found == tuple(day + clock for day in starts)
 
 
 def test_a_window_with_one_end_is_asked_for_the_other() -> None:
-    found = asked(apply(worlds.draft(), {"window": {"expiry": "2099-01-01T00:00:00Z"}}))
+    found = asked(apply(scenarios.draft(), {"window": {"expiry": "2099-01-01T00:00:00Z"}}))
     assert list(found) == ["window.not_before"]
 
 
 @pytest.mark.parametrize("length", ["25", 25, 0.5])
 def test_a_window_without_a_unit_is_asked_about(length: Any) -> None:
-    found = asked(apply(worlds.draft(), {"window": {"for": length}}))
+    found = asked(apply(scenarios.draft(), {"window": {"for": length}}))
     assert found["window.for"][1] == f"{length} min"
 
 
 def test_a_window_beyond_the_calendar_is_refused() -> None:
     with pytest.raises(MalformedError, match="year 10000"):
-        build(worlds.draft(), window={"for": "100000000 h"})
+        build(scenarios.draft(), window={"for": "100000000 h"})
 
 
 @pytest.mark.parametrize("value", [0.8, "0.8"])
 def test_a_speed_without_a_unit_is_asked_about_at_its_own_place(value: Any) -> None:
-    found = asked(apply(worlds.draft(), {"grants[0].limits.speed_mm_s[1]": value}))
+    found = asked(apply(scenarios.draft(), {"grants[0].limits.speed_mm_s[1]": value}))
     assert found == {"grants[0].limits.speed_mm_s[1]": ("0.8 m/s", "0.8 km/h", "0.8 mm/s")}
 
 
 @pytest.mark.parametrize("pair", [[50, "0.8 m/s"], [0.05, "0.8 m/s"]])
 def test_a_bare_number_beside_a_quantity_has_no_unit(pair: list[Any]) -> None:
-    found = asked(apply(worlds.draft(), {"grants[0].limits.speed_mm_s": pair}))
+    found = asked(apply(scenarios.draft(), {"grants[0].limits.speed_mm_s": pair}))
     assert list(found) == ["grants[0].limits.speed_mm_s[0]"]
     assert found["grants[0].limits.speed_mm_s[0]"][0] == f"{pair[0]} m/s"
-    whole = build(worlds.draft(), **{"grants[0].limits.speed_mm_s": [50, 800]})
-    assert whole == build(worlds.draft())  # the parameter's name says the unit of both
-    zero = build(worlds.draft(), **{"grants[0].limits.speed_mm_s": [0, "0.8 m/s"]})
+    whole = build(scenarios.draft(), **{"grants[0].limits.speed_mm_s": [50, 800]})
+    assert whole == build(scenarios.draft())  # the parameter's name says the unit of both
+    zero = build(scenarios.draft(), **{"grants[0].limits.speed_mm_s": [0, "0.8 m/s"]})
     assert zero.actions[0].limits[0].low == 0
 
 
@@ -234,12 +234,12 @@ def test_a_row_that_lists_no_regions_is_offered_the_quiet_way() -> None:
     found = asked(without("grants[1].rows[0].regions"))
     assert found == {"grants[1].rows[0].regions": ("[pharmacy]",)}
     scan = {"id": "scan", "type": "scan_obstacles", "tool": "lidar", "chooser": "operator"}
-    found = asked(apply(worlds.draft(), {"grants[6]": scan}))
+    found = asked(apply(scenarios.draft(), {"grants[6]": scan}))
     assert found["grants[6].rows[0].regions"] == ()
 
 
 def test_ways_avoid_what_is_private_unless_it_is_the_end() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     assert quiet_path(site, "dock", "office-1") == ("dock", "public-corridor", "office-1")
     around = SET(
         site,
@@ -257,7 +257,7 @@ def test_ways_avoid_what_is_private_unless_it_is_the_end() -> None:
     private = SET(around, doors=around.doors[:1])
     draft = without("grants[0].rows[0].regions")
     with pytest.raises(ClarificationError) as error:
-        compile_plain(draft, private, now=worlds.NOW, nonce="A" * 22)
+        compile_plain(draft, private, now=scenarios.NOW, nonce="A" * 22)
     assert error.value.candidates == ()
 
 
@@ -266,7 +266,7 @@ def test_ways_avoid_what_is_private_unless_it_is_the_end() -> None:
 
 def test_names_of_the_site_become_ids_exactly() -> None:
     named = build(
-        worlds.draft(),
+        scenarios.draft(),
         **{
             "grants[1].rows[0]": {
                 "object": "Medicine Package P1",
@@ -278,7 +278,7 @@ def test_names_of_the_site_become_ids_exactly() -> None:
             "regions": ["Dock", "Pharmacy", "Corridor", "Room 101"],
         },
     )
-    assert named.actions[1] == worlds.mission().actions[1]
+    assert named.actions[1] == scenarios.mission().actions[1]
     assert named.regions == ("dock", "pharmacy", "public-corridor", "station-101")
 
 
@@ -296,7 +296,7 @@ def test_names_of_the_site_become_ids_exactly() -> None:
 )
 def test_a_name_that_is_only_close_is_shown_and_not_taken(text: str, close: str | None) -> None:
     with pytest.raises(MalformedError) as refused:
-        build(worlds.draft(), **{"grants[2].rows[0].destination": text})
+        build(scenarios.draft(), **{"grants[2].rows[0].destination": text})
     assert refused.value.reason is Reason.NAME_UNKNOWN
     assert refused.value.where == "grants[2].rows[0].destination"
     assert len(refused.value.message) < 300
@@ -305,7 +305,7 @@ def test_a_name_that_is_only_close_is_shown_and_not_taken(text: str, close: str 
 
 
 def test_a_name_of_several_things_is_asked_about() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     twice = SET(site.objects["sharps-bin"], names=("P1",))
     shared = SET(site.objects["package-p2"], names=("Dock",))
     double = SET(site, objects={**site.objects, "sharps-bin": twice, "package-p2": shared})
@@ -348,19 +348,19 @@ def test_an_unknown_word_or_shape_is_refused_with_its_place(
     field: str, value: Any, where: str
 ) -> None:
     with pytest.raises(MalformedError) as refused:
-        build(worlds.draft(), **{field: value})
+        build(scenarios.draft(), **{field: value})
     assert refused.value.where == where
 
 
 def test_risk_in_states_of_the_world_survives_the_way_back_to_a_draft() -> None:
     state = {"guard": {"variable": "people", "ge": 1, "max_age": "1 s"}, "weight": 5}
-    mission = build(worlds.draft(), **{"risk_policy.states": [state]})
+    mission = build(scenarios.draft(), **{"risk_policy.states": [state]})
     assert mission.risk_policy.states[0].weight == 5
     assert build(to_draft(mission)) == mission
 
 
 def test_roles_may_be_written_in_any_order() -> None:
-    mission = build(worlds.draft(), **{"risk_policy.roles": ["supervisor", "safety_officer"]})
+    mission = build(scenarios.draft(), **{"risk_policy.roles": ["supervisor", "safety_officer"]})
     assert mission.risk_policy.roles == ("safety_officer", "supervisor")
 
 
@@ -377,23 +377,23 @@ def test_answers_settle_what_was_asked_in_as_many_rounds_as_it_takes() -> None:
             "grants[1].rows[0].source=Pharmacy",
         ]
     )
-    site, now = worlds.site(), worlds.NOW
+    site, now = scenarios.site(), scenarios.NOW
     mission = compile_answered(draft, answers, site, now=now, nonce="A" * 22)
-    assert mission == build(worlds.draft())
+    assert mission == build(scenarios.draft())
 
 
-@pytest.mark.parametrize("draft", [worlds.draft(), without("on_refusal")])
+@pytest.mark.parametrize("draft", [scenarios.draft(), without("on_refusal")])
 def test_an_answer_that_nobody_asked_for_is_refused(draft: Any) -> None:
     answers = read_answers(["grants[1].rows[0].object=package-p2"])
     with pytest.raises(MalformedError, match="nobody asked for"):
-        compile_answered(draft, answers, worlds.site(), now=worlds.NOW, nonce="A" * 22)
+        compile_answered(draft, answers, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)
 
 
 def test_what_is_still_open_after_the_answers_is_asked() -> None:
     draft = without("on_refusal", "issuer")
     with pytest.raises(ClarificationError) as error:
         compile_answered(
-            draft, {"issuer": "operator-1"}, worlds.site(), now=worlds.NOW, nonce="A" * 22
+            draft, {"issuer": "operator-1"}, scenarios.site(), now=scenarios.NOW, nonce="A" * 22
         )
     assert (error.value.field, error.value.others) == ("on_refusal", ())
 
@@ -427,10 +427,10 @@ def test_what_is_no_answer_is_refused(texts: list[str]) -> None:
     ],
 )
 def test_a_path_that_leads_nowhere_is_refused_and_the_draft_stays(field: str) -> None:
-    draft = worlds.draft()
+    draft = scenarios.draft()
     with pytest.raises(MalformedError):
         apply(draft, {field: 1})
-    assert draft == worlds.draft()
+    assert draft == scenarios.draft()
 
 
 def test_a_whole_parameter_name_is_one_step_of_a_path() -> None:
@@ -470,7 +470,7 @@ def test_a_draft_with_holes_is_never_filled_and_answers_give_back_what_was_there
     holes: set[str],
 ) -> None:
     """Only questions come of holes; answering each with what stood there gives the same mission."""
-    whole = worlds.draft()
+    whole = scenarios.draft()
     draft = without(*holes)
     for _ in range(4):
         try:
@@ -507,6 +507,6 @@ def value_at(draft: Any, field: str) -> Any:
 def test_any_plain_data_at_any_place_is_a_mission_a_question_or_a_refusal(
     value: Any, field: str
 ) -> None:
-    for draft in (value, apply(worlds.draft(), {field: value})):
+    for draft in (value, apply(scenarios.draft(), {field: value})):
         with suppress(ClarificationError, MalformedError):
-            compile_plain(draft, worlds.site(), now=worlds.NOW, nonce="A" * 22)
+            compile_plain(draft, scenarios.site(), now=scenarios.NOW, nonce="A" * 22)

@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 import authguard_reference as oracle
-import worlds
 from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.provenance import selectable_rows
@@ -35,11 +34,12 @@ from authguard_r.core.standing import (
     reserve,
     settle,
 )
-from cases import ALONE, accepted_case, decide_case, plain, plain_facts
+from fixtures import scenarios
+from fixtures.decision_cases import ALONE, accepted_case, decide_case, plain, plain_facts
 
 SET = msgspec.structs.replace
-MISSION = worlds.mission()
-VERIFIED = worlds.verified(MISSION)
+MISSION = scenarios.mission()
+VERIFIED = scenarios.verified(MISSION)
 
 
 def grant(name: str):  # type: ignore[no-untyped-def]
@@ -61,9 +61,9 @@ def test_what_a_lease_can_use_follows_from_the_type() -> None:
 def test_only_integers_have_an_order(comparison: str, value: object) -> None:
     guard = Guard(variable="holding", comparison=comparison, value=value, max_age_ms=9_999)
     guard = msgspec.convert(plain(guard), Guard)
-    readings = {"holding": SET(worlds.state().snapshot.readings["holding"], value=value)}
-    state = worlds.attested(SET(worlds.state().snapshot, readings=readings))
-    finding = guard_finding(guard, state, worlds.RID, worlds.NOW)
+    readings = {"holding": SET(scenarios.state().snapshot.readings["holding"], value=value)}
+    state = scenarios.attested(SET(scenarios.state().snapshot, readings=readings))
+    finding = guard_finding(guard, state, scenarios.RID, scenarios.NOW)
     assert finding is not None
     assert finding.reason is Reason.GUARD_FALSE
 
@@ -94,14 +94,16 @@ def test_a_guard_compares_values_of_one_type(comparison: str, value: object, hol
         "max_age_ms": 9,
     }
     guard = msgspec.convert(plain_guard, Guard)
-    assert (guard_finding(guard, worlds.state(), worlds.RID, worlds.NOW) is None) == holds
+    assert (guard_finding(guard, scenarios.state(), scenarios.RID, scenarios.NOW) is None) == holds
 
 
 def test_a_value_from_the_future_is_stale() -> None:
     guard = msgspec.convert(
         {"variable": "battery_permille", "comparison": "ge", "value": 1, "max_age_ms": 9}, Guard
     )
-    finding = guard_finding(guard, worlds.state(), worlds.RID, Now(worlds.NOW.utc_ms, 9_999))
+    finding = guard_finding(
+        guard, scenarios.state(), scenarios.RID, Now(scenarios.NOW.utc_ms, 9_999)
+    )
     assert finding is not None
     assert finding.reason is Reason.STATE_STALE
 
@@ -109,7 +111,7 @@ def test_a_value_from_the_future_is_stale() -> None:
 def test_a_selection_leaves_one_row_and_a_bad_one_all() -> None:
     rows = (Row(regions=("dock",)), Row(regions=("pharmacy",)))
     both = SET(grant("pick-p1"), alternatives=rows)
-    standing = SET(worlds.active(VERIFIED), selected={"pick-p1": 1})
+    standing = SET(scenarios.active(VERIFIED), selected={"pick-p1": 1})
     assert selectable_rows(both, standing) == rows[1:]
     assert selectable_rows(both, SET(standing, selected={"pick-p1": 2})) == rows
     assert selectable_rows(both, None) == rows
@@ -122,14 +124,14 @@ def test_text_that_no_encoder_writes_is_malformed() -> None:
 
 def test_risk_counts_force_privacy_state_and_what_nobody_knows() -> None:
     policy = MISSION.risk_policy
-    base = {"state": worlds.state(), "facts": worlds.facts(), "now": worlds.NOW}
-    action = worlds.navigate("dock", "pharmacy")
+    base = {"state": scenarios.state(), "facts": scenarios.facts(), "now": scenarios.NOW}
+    action = scenarios.navigate("dock", "pharmacy")
     assert rho(action, policy, **base) == 10
-    grip = worlds.Action(
+    grip = scenarios.Action(
         type="pick", tool="gripper", object="package-p1", params={"force_mn": 20_001}
     )
     assert rho(grip, policy, **base) == 5 + 5 + 6
-    unknown = worlds.Action(type="dance", tool="base", object="thing", destination="moon")
+    unknown = scenarios.Action(type="dance", tool="base", object="thing", destination="moon")
     assert rho(unknown, policy, **base) == 60 + 60 + 60 + 3 * 15
     guard = {"variable": "battery_permille", "comparison": "lt", "value": 900, "max_age_ms": 9}
     risky = msgspec.convert(
@@ -144,13 +146,13 @@ def test_risk_counts_force_privacy_state_and_what_nobody_knows() -> None:
 
 
 def started(name: str = "pick-p1"):  # type: ignore[no-untyped-def]
-    standing = worlds.active(VERIFIED)
+    standing = scenarios.active(VERIFIED)
     return reserve(
         standing,
         grant(name),
         ticket="T" * 43,
         spend=Spend(motion_ms=9),
-        now=worlds.NOW,
+        now=scenarios.NOW,
         per_ms=1_000,
     )
 
@@ -188,63 +190,68 @@ def test_what_was_used_takes_the_place_of_what_was_reserved() -> None:
 
 def test_a_mission_without_completing_grants_is_never_complete() -> None:
     never = SET(MISSION, actions=tuple(SET(g, completes=False) for g in MISSION.actions))
-    assert not is_complete(worlds.active(VERIFIED), never)
+    assert not is_complete(scenarios.active(VERIFIED), never)
 
 
 def test_a_mission_finishes_when_it_is_active_and_all_is_done() -> None:
     from authguard_r.core.standing import Use
 
-    active = worlds.active(VERIFIED)
-    assert finish(active, MISSION, worlds.NOW) == active
+    active = scenarios.active(VERIFIED)
+    assert finish(active, MISSION, scenarios.NOW) == active
     done = SET(active, uses={"place-at-101": Use(starts=1, successes=1, last_success=1)})
     revoked = advance(done, Event.REVOKE)
     assert revoked is not None
-    assert finish(revoked, MISSION, worlds.NOW) == revoked
-    plain_end = finish(done, SET(MISSION, closing=None), worlds.NOW)
+    assert finish(revoked, MISSION, scenarios.NOW) == revoked
+    plain_end = finish(done, SET(MISSION, closing=None), scenarios.NOW)
     assert plain_end.status is Status.COMPLETED
-    closing = finish(done, MISSION, worlds.NOW)
-    assert (closing.status, closing.closes_ms) == (Status.CLOSING, worlds.NOW.utc_ms + 600_000)
+    closing = finish(done, MISSION, scenarios.NOW)
+    assert (closing.status, closing.closes_ms) == (Status.CLOSING, scenarios.NOW.utc_ms + 600_000)
 
 
 def test_a_new_grant_starts_from_nothing_and_a_narrower_one_is_refused() -> None:
     old = SET(started(), uses={"pick-p1": SET(started().uses["pick-p1"], starts=2)})
     added = SET(MISSION, actions=(*MISSION.actions, SET(grant("pick-p1"), id="pick-again")))
-    carried = carry_over(old, MISSION, worlds.verified(added))
+    carried = carry_over(old, MISSION, scenarios.verified(added))
     assert carried is not None
     assert carried.uses == old.uses
     assert carried.open == old.open
     fewer = tuple(SET(g, starts=1) if g.id == "pick-p1" else g for g in MISSION.actions)
-    assert carry_over(old, MISSION, worlds.verified(SET(MISSION, actions=fewer))) is None
+    assert carry_over(old, MISSION, scenarios.verified(SET(MISSION, actions=fewer))) is None
 
 
 def test_the_lease_is_the_oracles_lease() -> None:
     match = next(g for g in VERIFIED.grants if g.grant.id == "go-to-pharmacy").grant
     lease = permit(
         VERIFIED,
-        worlds.navigate("dock", "pharmacy"),
+        scenarios.navigate("dock", "pharmacy"),
         grant=match,
         row=match.alternatives[0],
-        facts=worlds.facts(),
-        now=worlds.NOW,
+        facts=scenarios.facts(),
+        now=scenarios.NOW,
         ticket="T" * 43,
     )
     rnd, seen = Random(5), set()
     for _ in range(600):
         now = Now(
-            worlds.NOW.utc_ms + rnd.choice([0, 9, 10**8]),
-            worlds.NOW.mono_ms + rnd.choice([0, 500, 10**6]),
+            scenarios.NOW.utc_ms + rnd.choice([0, 9, 10**8]),
+            scenarios.NOW.mono_ms + rnd.choice([0, 500, 10**6]),
         )
         standing = rnd.choice(
             [
-                worlds.active(VERIFIED),
+                scenarios.active(VERIFIED),
                 None,
-                SET(worlds.active(VERIFIED), status=Status.REVOKED),
-                SET(worlds.active(VERIFIED), digest="A" * 43, version=2),
-                SET(worlds.active(VERIFIED), mid="other"),
+                SET(scenarios.active(VERIFIED), status=Status.REVOKED),
+                SET(scenarios.active(VERIFIED), digest="A" * 43, version=2),
+                SET(scenarios.active(VERIFIED), mid="other"),
             ]
         )
         state = rnd.choice(
-            [worlds.state(), worlds.state("office-1"), worlds.state(rid=worlds.OTHER), None]
+            [
+                scenarios.state(),
+                scenarios.state("office-1"),
+                scenarios.state(rid=scenarios.OTHER),
+                None,
+            ]
         )
         if state is not None and rnd.random() < 0.5:
             readings = dict(state.snapshot.readings)
@@ -259,17 +266,17 @@ def test_the_lease_is_the_oracles_lease() -> None:
                 ]
             )
             readings[name] = SET(readings[name], **change)
-            state = worlds.attested(SET(state.snapshot, readings=readings))
+            state = scenarios.attested(SET(state.snapshot, readings=readings))
         ours = [
             str(f.reason)
-            for f in still(lease, state, facts=worlds.facts(), now=now, standing=standing)
+            for f in still(lease, state, facts=scenarios.facts(), now=now, standing=standing)
         ]
         theirs = oracle.still(
             plain(lease),
             None
             if state is None
             else {"snapshot": plain(state.snapshot), "arrived_mono_ms": state.arrived_mono_ms},
-            facts=plain_facts(worlds.facts()),
+            facts=plain_facts(scenarios.facts()),
             now=plain(now),
             standing=None if standing is None else plain(standing),
         )
@@ -317,7 +324,7 @@ def test_a_grant_more_never_refuses_what_was_accepted() -> None:
         case = accepted_case(Random(seed))
         extra = SET(grant("look-out"), id="extra", limits=(Limit(parameter="x", low=0, high=1),))
         for actions in ((extra, *case.mission.actions), (*case.mission.actions, extra)):
-            from cases import _with_mission
+            from fixtures.decision_cases import _with_mission
 
             assert str(decide_case(_with_mission(case, actions=actions)).verdict) == "accept"
 
@@ -346,7 +353,7 @@ def test_an_instant_has_two_spellings_and_no_third() -> None:
 
 
 def test_a_tool_that_this_robot_does_not_have_exceeds_its_capability() -> None:
-    from cases import _plain, _with_action, _with_grant
+    from fixtures.decision_cases import _plain, _with_action, _with_grant
 
     case = _with_grant(_plain(Random(1)), tool="claw")
     found = decide_case(_with_action(case, tool="claw")).findings

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.facts import RegionFacts, SiteFacts
 from authguard_r.core.geometry import (
     Point,
@@ -28,6 +27,7 @@ from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.provenance import Label
 from authguard_r.core.state import Pose, Snapshot, place_of
 from authguard_reference import place as oracle
+from fixtures import scenarios
 
 Corners = tuple[Point, ...]
 SQUARE: Corners = ((0, 0), (10, 0), (10, 10), (0, 10))
@@ -294,12 +294,12 @@ def snapshot(
     pose = Pose(
         map=at, floor=floor, x_mm=x, y_mm=y, margin_mm=margin, label=Label.TRUSTED_SENSOR, age_ms=0
     )
-    return Snapshot(robot=worlds.RID, epoch=1, seq=1, pose=pose)
+    return Snapshot(robot=scenarios.RID, epoch=1, seq=1, pose=pose)
 
 
 def stacked() -> SiteFacts:
     """The same square on two floors and two maps."""
-    known = worlds.facts()
+    known = scenarios.facts()
     regions = {
         f"{name}-{floor}": RegionFacts(polygon(name, floor, SQUARE), frozenset())
         for name in ("main", "annex")
@@ -327,11 +327,11 @@ def test_a_pose_on_a_map_or_floor_that_nobody_drew_lies_nowhere(at: str, floor: 
 
 
 def test_a_robot_that_is_not_localized_lies_nowhere() -> None:
-    assert place_of(Snapshot(robot=worlds.RID, epoch=1, seq=1), stacked()) == frozenset()
+    assert place_of(Snapshot(robot=scenarios.RID, epoch=1, seq=1), stacked()) == frozenset()
 
 
 def test_the_place_equals_the_oracle_s_all_over_the_hospital() -> None:
-    facts = worlds.facts()
+    facts = scenarios.facts()
     plain = {
         "regions": {
             region: {
@@ -355,7 +355,7 @@ def test_the_place_equals_the_oracle_s_all_over_the_hospital() -> None:
 
 
 def test_at_a_door_the_robot_may_be_on_both_sides() -> None:
-    facts = worlds.facts()
+    facts = scenarios.facts()
     assert place_of(snapshot(x=4000, y=3000), facts) == {"pharmacy", "public-corridor"}
     assert place_of(snapshot(x=4000, y=3151, margin=150), facts) == {"pharmacy"}
     assert place_of(snapshot(x=4000, y=3150, margin=150), facts) == {"pharmacy", "public-corridor"}
@@ -403,8 +403,8 @@ def test_only_the_inner_region_counts_once_no_doubt_is_left(
         "part": RegionFacts(polygon("main", 1, PART), frozenset(), frozenset({"room"})),
     }
     site = SiteFacts(
-        digest=worlds.facts().digest,
-        robot=worlds.facts().robot,
+        digest=scenarios.facts().digest,
+        robot=scenarios.facts().robot,
         regions=regions,
         objects={},
         vocabulary={},
@@ -413,7 +413,7 @@ def test_only_the_inner_region_counts_once_no_doubt_is_left(
     pose = Pose(
         map="main", floor=1, x_mm=at[0], y_mm=at[1], margin_mm=margin, label=label, age_ms=0
     )
-    snapshot = Snapshot(robot=worlds.RID, epoch=1, seq=1, pose=pose)
+    snapshot = Snapshot(robot=scenarios.RID, epoch=1, seq=1, pose=pose)
     assert place_of(snapshot, site) == wanted
     plain = {
         name: {

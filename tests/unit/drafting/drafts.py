@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import worlds
 from authguard_r.compile.answers import compile_plain
 from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.quantities import Now
@@ -13,6 +12,7 @@ from authguard_r.drafting.profile import read_profile
 from authguard_r.drafting.proposal import Proposal
 from authguard_r.drafting.template import TemplateProposer
 from authguard_r.site.model import Site
+from fixtures import scenarios
 
 #: 2026-01-01, 10:00 UTC.
 NOW_MS = 1_767_261_600_000
@@ -32,7 +32,7 @@ def propose(
     proposer = TemplateProposer(read_profile(), NOW_MS)
     return proposer.propose(
         sentence,
-        site or worlds.site(),
+        site or scenarios.site(),
         robot=robot,
         settled={**(GIVEN if given is None else given), **answers},
     )
@@ -59,7 +59,9 @@ def _quoted(text: str) -> list[str]:
 def compiled(proposal: Proposal, site: Site | None = None) -> Mission:
     """Return the mission that a proposal without questions compiles to."""
     assert proposal.questions == ()
-    return compile_plain(proposal.draft, site or worlds.site(), now=Now(NOW_MS, 0), nonce="A" * 22)
+    return compile_plain(
+        proposal.draft, site or scenarios.site(), now=Now(NOW_MS, 0), nonce="A" * 22
+    )
 
 
 def mission(sentence: str, *, site: Site | None = None, **settled: Any) -> Mission:

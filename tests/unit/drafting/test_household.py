@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-import household
 from authguard_r.core.mission import Grant, Mission
+from fixtures import household_sites
+from fixtures.cases import case
 from unit.drafting.drafts import asked_about, compiled, fields, propose
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -17,8 +18,8 @@ EXTERNAL = ROOT.parent / "shared" / "external"
 
 
 def draft(sentence: str, **settled: str) -> Mission:
-    site = household.site(sentence)
-    return compiled(propose(sentence, site=site, robot=household.ROBOT, **settled), site)
+    site = household_sites.site(sentence)
+    return compiled(propose(sentence, site=site, robot=household_sites.ROBOT, **settled), site)
 
 
 def done(made: Mission) -> list[tuple[str, str | None]]:
@@ -30,9 +31,8 @@ def done(made: Mission) -> list[tuple[str, str | None]]:
     ]
 
 
-@pytest.mark.parametrize(
-    ("sentences", "expected"),
-    [
+def test_two_wordings_grant_the_same() -> None:
+    for sentences, expected in [
         (["Open the cabinet.", "please open a Cabinet"], [("open", "cabinet")]),
         (["Close the drawer", "Shut the drawer."], [("close", "drawer")]),
         (
@@ -80,13 +80,10 @@ def done(made: Mission) -> list[tuple[str, str | None]]:
                 ("turn_on", "microwave"),
             ],
         ),
-    ],
-)
-def test_two_wordings_grant_the_same(
-    sentences: list[str], expected: list[tuple[str, str | None]]
-) -> None:
-    for sentence in sentences:
-        assert done(draft(sentence)) == expected, sentence
+    ]:
+        with case(sentences, expected):
+            for sentence in sentences:
+                assert done(draft(sentence)) == expected, sentence
 
 
 def test_what_is_put_dropped_thrown_or_poured_is_what_the_hand_holds() -> None:
@@ -102,8 +99,8 @@ def test_what_is_put_dropped_thrown_or_poured_is_what_the_hand_holds() -> None:
 def test_a_liquid_is_bound_by_its_number_and_an_unknown_one_is_asked_about() -> None:
     (grant,) = [g for g in draft("Fill the mug with wine").actions if g.type == "fill"]
     assert [(b.parameter, b.low, b.high) for b in grant.limits] == [("liquid_no", 3, 3)]
-    site = household.site("mug")
-    made = propose("Fill the mug with lava", site=site, robot=household.ROBOT)
+    site = household_sites.site("mug")
+    made = propose("Fill the mug with lava", site=site, robot=household_sites.ROBOT)
     assert asked_about(made, "lava") == ["object"]
     assert "wine" in fields(made)["liquid"]
 
@@ -119,8 +116,10 @@ def test_what_is_to_stay_open_is_not_closed_again() -> None:
     made = draft("Put the egg in the fridge with the door left open")
     assert done(made) == [("pick", "egg"), ("open", "fridge"), ("put_in", "fridge")]
     assert made.closing is None
-    site = household.site("egg sofa")
-    asked = propose("Put the egg on the sofa with the door open", site=site, robot=household.ROBOT)
+    site = household_sites.site("egg sofa")
+    asked = propose(
+        "Put the egg on the sofa with the door open", site=site, robot=household_sites.ROBOT
+    )
     assert asked_about(asked, "left open") == ["destination"]
 
 
@@ -140,9 +139,9 @@ def test_leaving_a_thing_open_says_how_and_not_in_which_order() -> None:
 def test_it_means_the_one_thing_that_the_verb_can_apply_to() -> None:
     made = draft("Put the fork in the microwave and turn it on")
     assert done(made)[-1] == ("turn_on", "microwave")
-    site = household.site("candle laptop sofa")
+    site = household_sites.site("candle laptop sofa")
     asked = propose(
-        "Turn on the candle and the laptop and turn it off", site=site, robot=household.ROBOT
+        "Turn on the candle and the laptop and turn it off", site=site, robot=household_sites.ROBOT
     )
     assert fields(asked) == {"step2.object": ("candle", "laptop")}
 
@@ -154,8 +153,8 @@ def test_the_order_that_was_said_is_kept_for_what_has_effects() -> None:
 
 
 def test_the_state_of_a_switch_is_asked_for() -> None:
-    site = household.site("light switch")
-    asked = propose("toggle the light switch", site=site, robot=household.ROBOT)
+    site = household_sites.site("light switch")
+    asked = propose("toggle the light switch", site=site, robot=household_sites.ROBOT)
     assert fields(asked) == {"state": ("on", "off")}
     assert done(draft("toggle the light switch", state="off")) == [("turn_off", "lightswitch")]
 
@@ -202,14 +201,14 @@ def verb_and_name(step: str) -> tuple[str, str]:
 
 def fits(task: dict[str, Any], made: Mission) -> bool:
     """True when every step of the task's plan has an open grant, in the plan's order."""
-    site = household.site_of(task)
+    site = household_sites.site_of(task)
     named = {
         spelling.lower().replace(" ", ""): str(item)
         for item, thing in site.objects.items()
         for spelling in (item, *thing.names)
     }
     holding, record = "nothing", []
-    for step in household.steps(task):
+    for step in household_sites.steps(task):
         kind, name = verb_and_name(step)
         item = named.get(name.lower().replace(" ", "")) if name else None
         grant = next((g for g in made.actions if _open(g, kind, item, holding, record)), None)
@@ -237,13 +236,13 @@ def _open(grant: Grant, kind: str, item: str | None, holding: str, record: list[
 @pytest.mark.external
 @pytest.mark.skipif(not EXTERNAL.is_dir(), reason=f"no public test data at {EXTERNAL}")
 def test_150_of_the_200_household_tasks_become_drafts_and_the_rest_are_questions() -> None:
-    tasks = household.tasks(EXTERNAL / "safeagentbench")
+    tasks = household_sites.tasks(EXTERNAL / "safeagentbench")
     assert len(tasks) == 200
     asked: dict[str, list[int]] = {}
     apart: dict[str, list[int]] = {}
     for task in tasks:
-        site, sentence = household.site_of(task), household.sentence(task)
-        made = propose(sentence, site=site, robot=household.ROBOT)
+        site, sentence = household_sites.site_of(task), household_sites.sentence(task)
+        made = propose(sentence, site=site, robot=household_sites.ROBOT)
         if made.questions:
             assert made.draft == {}
             assert all(question.field for question in made.questions)

@@ -12,8 +12,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import household
-import worlds
 from authguard_r.compile.answers import compile_plain
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.quantities import Now
@@ -21,10 +19,12 @@ from authguard_r.drafting import frames
 from authguard_r.drafting.proposal import Proposal
 from authguard_r.drafting.restraint import LIMITING, limits
 from authguard_r.site.model import Site
+from fixtures import household_sites, scenarios
+from fixtures.amount import amount
 from unit.drafting.drafts import GIVEN, NOW_MS, propose
 
 AVOIDED = {"private", "restricted", "hazardous"}
-KITCHEN = household.site("Mug Fridge Apple Candle Microwave Knife Table Sink Desk Lamp Floor")
+KITCHEN = household_sites.site("Mug Fridge Apple Candle Microwave Knife Table Sink Desk Lamp Floor")
 
 
 def _words(text: str) -> list[str]:
@@ -118,12 +118,14 @@ def answer_all(sentence: str, site: Site, robot: str, data: Any) -> tuple[Propos
 @pytest.mark.parametrize("place", ["hospital", "kitchen"])
 def test_no_draft_names_what_nobody_named(place: str) -> None:
     site, robot, words = {
-        "hospital": (worlds.site(), "courier-1", HOSPITAL_WORDS),
-        "kitchen": (KITCHEN, household.ROBOT, KITCHEN_WORDS),
+        "hospital": (scenarios.site(), "courier-1", HOSPITAL_WORDS),
+        "kitchen": (KITCHEN, household_sites.ROBOT, KITCHEN_WORDS),
     }[place]
     drafted = 0
 
-    @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(
+        max_examples=amount(75, 300), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    )
     @given(sentence=sentences(words), data=st.data())
     def law(sentence: str, data: Any) -> None:
         nonlocal drafted
@@ -145,7 +147,7 @@ def test_no_draft_names_what_nobody_named(place: str) -> None:
     assert drafted > 10
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=amount(20, 80), deadline=None)
 @given(st.text(max_size=300))
 def test_any_text_is_a_draft_a_question_or_a_refusal_with_a_place(sentence: str) -> None:
     try:
@@ -156,7 +158,7 @@ def test_any_text_is_a_draft_a_question_or_a_refusal_with_a_place(sentence: str)
     assert bool(made.draft) != bool(made.questions)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=amount(20, 80), deadline=None)
 @given(
     sentence=sentences(HOSPITAL_WORDS),
     word=st.sampled_from(["zorb", "kindly-not", "\u00e9t\u00e9"]),
@@ -169,7 +171,7 @@ def test_a_word_more_is_a_question_more(sentence: str, word: str) -> None:
         assert made.draft == {}
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=amount(50, 200), deadline=None)
 @given(
     word=st.sampled_from(
         [*sorted(LIMITING - {"once"}), "don't", "dont", "mustn\u2019t", "Won't", "shant", "NEVER"]
@@ -185,7 +187,7 @@ def test_a_limiting_word_is_never_answered_away(
     said = _words("bring P1 to Station 101 and then go to Station 102")
     sentence = " ".join([*said[:place], mark, word, *said[place:]])
     try:
-        made, _ = answer_all(sentence, worlds.site(), "courier-1", data)
+        made, _ = answer_all(sentence, scenarios.site(), "courier-1", data)
     except MalformedError as refused:
         require_place(refused, "")
         return
@@ -219,14 +221,14 @@ LABELS = st.one_of(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=amount(100, 400), deadline=None)
 @given(cut=st.sampled_from(BEHIND_NOUNS), label=LABELS)
 def test_a_label_behind_a_noun_never_vanishes(cut: tuple[str, str], label: str) -> None:
     """`package A` is another thing than `package`: a draft for both would be a guess."""
     before, after = cut
     site = msgspec.structs.replace(
-        worlds.site(),
-        objects={k: v for k, v in worlds.site().objects.items() if k == "package-p1"},
+        scenarios.site(),
+        objects={k: v for k, v in scenarios.site().objects.items() if k == "package-p1"},
     )
     plain = propose(f"{before} {after}", site=site)
     assert plain.draft, cut
@@ -235,7 +237,7 @@ def test_a_label_behind_a_noun_never_vanishes(cut: tuple[str, str], label: str) 
         assert made.draft["grants"] != plain.draft["grants"], (before, label, after)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=amount(25, 100), deadline=None)
 @given(
     field=st.text(min_size=1, max_size=12),
     value=st.text(max_size=12),

@@ -8,12 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, DataRights
 from authguard_r.drafting.proposal import clarification
 from authguard_r.site.model import ObjectModel, Site
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
+from fixtures.cases import case
 from unit.drafting.drafts import GIVEN, asked_about, compiled, fields, mission, propose, shape
 
 DELIVERY = [
@@ -433,9 +434,9 @@ LIMITS = (
 )
 
 
-@pytest.mark.parametrize(
-    "sentence",
-    [
+def test_a_word_that_limits_cannot_be_left_out() -> None:
+    """Leaving it out would grant what the sentence holds back."""
+    for sentence in [
         "do not enter office 1 and go to station 101",
         "deliver P1 to station 101, don't go to office 1",
         "Never go to office 1",
@@ -453,16 +454,14 @@ LIMITS = (
             for mark in (";", "")
             for word in LIMITS.split()
         ),
-    ],
-)
-def test_a_word_that_limits_cannot_be_left_out(sentence: str) -> None:
-    """Leaving it out would grant what the sentence holds back."""
-    (field,) = [name for name in fields(propose(sentence)) if name.endswith("condition")]
-    assert fields(propose(sentence))[field] == ()
-    for answer in ("leave it out", "always", "when the battery is low"):
-        answered = propose(sentence, given={**GIVEN, field: answer})
-        assert answered.draft == {}
-        assert fields(answered)[field] == ()
+    ]:
+        with case(sentence):
+            (field,) = [name for name in fields(propose(sentence)) if name.endswith("condition")]
+            assert fields(propose(sentence))[field] == ()
+            for answer in ("leave it out", "always", "when the battery is low"):
+                answered = propose(sentence, given={**GIVEN, field: answer})
+                assert answered.draft == {}
+                assert fields(answered)[field] == ()
 
 
 @pytest.mark.parametrize("word", ["kept", "zorb", "gently-ish", "dry", "notwithstanding"])
@@ -682,7 +681,7 @@ def test_a_door_that_the_site_has_no_thing_for_is_asked_about_among_doors(senten
 
 def site_with_doors(**things: dict[str, Any]) -> Site:
     """Return the hospital with things of class `door`, and a courier that opens them."""
-    site = worlds.site()
+    site = scenarios.site()
     objects = dict(site.objects)
     for item, model in things.items():
         objects[item.replace("_", "-")] = ObjectModel(kind="door", mass_g=0, **model)  # type: ignore[index]
@@ -743,18 +742,18 @@ def test_half_a_door_is_a_question(sentence: str) -> None:
 
 
 def changed_site(**changes: Any) -> Site:
-    return msgspec.structs.replace(worlds.site(), **changes)
+    return msgspec.structs.replace(scenarios.site(), **changes)
 
 
 def test_two_packages_and_three_offices_are_two_questions() -> None:
-    regions = dict(worlds.site().regions)
+    regions = dict(scenarios.site().regions)
     third = msgspec.structs.replace(
         regions["plant-room"],  # type: ignore[index]
         names=("Office 3",),
     )
     regions["office-3"] = third  # type: ignore[index]
     del regions["plant-room"]  # type: ignore[arg-type]
-    doors = tuple(door for door in worlds.site().doors if "plant-room" not in door.between)
+    doors = tuple(door for door in scenarios.site().doors if "plant-room" not in door.between)
     site = changed_site(regions=regions, doors=doors)
     assert fields(propose("bring the package to the office", site=site)) == {
         "object": ("package-p1", "package-p2"),
@@ -763,9 +762,9 @@ def test_two_packages_and_three_offices_are_two_questions() -> None:
 
 
 def test_a_way_through_a_private_room_is_asked_about() -> None:
-    doors = tuple(door for door in worlds.site().doors if "dock" not in door.between) + tuple(
+    doors = tuple(door for door in scenarios.site().doors if "dock" not in door.between) + tuple(
         msgspec.structs.replace(door, between=("dock", "office-1"))  # type: ignore[arg-type]
-        for door in worlds.site().doors
+        for door in scenarios.site().doors
         if "dock" in door.between
     )
     site = changed_site(doors=doors)
@@ -780,7 +779,7 @@ def test_a_way_through_a_private_room_is_asked_about() -> None:
 
 
 def test_one_tool_of_several_is_asked_for() -> None:
-    robots = dict(worlds.site().robots)
+    robots = dict(scenarios.site().robots)
     held = robots["courier-1"]  # type: ignore[index]
     tools = {**held.profile.tools, "navigate": ("base", "tracks")}
     profile = msgspec.structs.replace(held.profile, tools=tools)
@@ -817,7 +816,7 @@ ONE_PACKAGE = {"package-p1", "sharps-bin"}
 
 
 def one_package() -> Site:
-    objects = {k: v for k, v in worlds.site().objects.items() if k in ONE_PACKAGE}
+    objects = {k: v for k, v in scenarios.site().objects.items() if k in ONE_PACKAGE}
     return changed_site(objects=objects)
 
 

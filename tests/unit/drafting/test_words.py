@@ -9,8 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import household
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.drafting import frames
 from authguard_r.drafting.lexicon import Sort, read_lexicon
@@ -23,9 +21,10 @@ from authguard_r.drafting.measures import (
 )
 from authguard_r.drafting.profile import measure, read_profile
 from authguard_r.drafting.tokens import Kind, runs, tokenize
+from fixtures import household_sites, scenarios
 from unit.drafting.drafts import NOW_MS
 
-LEXICON = read_lexicon(worlds.site(), reserved=frames.reserved())
+LEXICON = read_lexicon(scenarios.site(), reserved=frames.reserved())
 
 
 def ids(text: str) -> tuple[str, ...]:
@@ -96,19 +95,19 @@ def test_a_name_means_its_owners_and_nothing_alike(text: str, found: tuple[str, 
 
 
 def test_the_longest_name_is_meant() -> None:
-    lexicon = read_lexicon(household.site("desk lamp", "desk"), reserved=frames.reserved())
+    lexicon = read_lexicon(household_sites.site("desk lamp", "desk"), reserved=frames.reserved())
     match = lexicon.match(tokenize("desk lamp"), 0)
     assert match is not None
     assert [(ref.sort, ref.id) for ref in match.refs] == [(Sort.OBJECT, "desklamp")]
 
 
 def test_a_thing_cannot_take_a_word_of_the_grammar() -> None:
-    taken = read_lexicon(worlds.site(), reserved={"pharmacy"})
+    taken = read_lexicon(scenarios.site(), reserved={"pharmacy"})
     assert taken.match(tokenize("pharmacy"), 0) is None
     assert taken.match(tokenize("Pharmacy Desk A"), 0) is not None
 
 
-@given(st.sampled_from(sorted(worlds.site().regions) + sorted(worlds.site().objects)))
+@given(st.sampled_from(sorted(scenarios.site().regions) + sorted(scenarios.site().objects)))
 def test_every_id_of_the_site_means_itself(item: str) -> None:
     assert ids(item) == (item,)
     assert ids(item.replace("-", " ").title()) == (item,)
@@ -196,7 +195,7 @@ def test_the_profile_is_whole_and_named() -> None:
 
 def test_the_profile_names_no_thing_place_person_or_data_right() -> None:
     text = str(read_profile())
-    site = worlds.site()
+    site = scenarios.site()
     for word in (*site.objects, *site.regions, *site.robots, "operator-1", "transmit"):
         assert f"'{word}'" not in text
 

@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import emergencies
-import worlds
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import VariableId
 from authguard_r.core.provenance import Label
@@ -28,24 +26,25 @@ from authguard_r.emergency.opened import OpenedPolicy
 from authguard_r.emergency.policy import HOUR_MS, Caller, Missing
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import facts_of, profile_digest
+from fixtures import emergency_policies, scenarios
 
 FACTS: SiteFacts = facts_of(
-    emergencies.site(),
-    rid=worlds.RID,
-    profile=profile_digest(emergencies.site().robots[worlds.RID].profile),
+    emergency_policies.site(),
+    rid=scenarios.RID,
+    profile=profile_digest(emergency_policies.site().robots[scenarios.RID].profile),
 )
-OPENED: OpenedPolicy = emergencies.opened()
+OPENED: OpenedPolicy = emergency_policies.opened()
 TICKET = OPENED.digest
 
 
 def state(at: str = "station-103", **changes: Any) -> AttestedState:
-    world = msgspec.structs.replace(worlds.world(at), **changes)
-    snapshot = snapshot_of(world, robot=worlds.RID, epoch=1, seq=1)
-    return attest(snapshot, FACTS, arrived_mono_ms=worlds.NOW.mono_ms)
+    world = msgspec.structs.replace(scenarios.world(at), **changes)
+    snapshot = snapshot_of(world, robot=scenarios.RID, epoch=1, seq=1)
+    return attest(snapshot, FACTS, arrived_mono_ms=scenarios.NOW.mono_ms)
 
 
 def scene(**changes: Any) -> Scene:
-    return Scene(**{"state": state(), "facts": FACTS, "now": worlds.NOW, **changes})
+    return Scene(**{"state": state(), "facts": FACTS, "now": scenarios.NOW, **changes})
 
 
 def why(name: str = "go-safe", caller: Caller = Caller.PLANNER, **changes: Any) -> list[str]:
@@ -54,7 +53,9 @@ def why(name: str = "go-safe", caller: Caller = Caller.PLANNER, **changes: Any) 
 
 
 def policy_of(**changes: Any) -> OpenedPolicy:
-    return emergencies.opened(emergencies.policy({**emergencies.GO_SAFE, **changes}))
+    return emergency_policies.opened(
+        emergency_policies.policy({**emergency_policies.GO_SAFE, **changes})
+    )
 
 
 def test_when_everything_holds_it_is_accepted() -> None:
@@ -74,8 +75,8 @@ def test_when_everything_holds_it_is_accepted() -> None:
         ({"state": state("office-1")}, "OUTSIDE_REGIONS"),
         ({"uses": (1, 2, 3)}, "RATE_EXCEEDED"),
         ({"stopped": True}, "STOPPED"),
-        ({"now": Now(OPENED.expiry_ms + 1, worlds.NOW.mono_ms)}, "EXPIRED"),
-        ({"now": Now(OPENED.not_before_ms - 1, worlds.NOW.mono_ms)}, "NOT_YET_VALID"),
+        ({"now": Now(OPENED.expiry_ms + 1, scenarios.NOW.mono_ms)}, "EXPIRED"),
+        ({"now": Now(OPENED.not_before_ms - 1, scenarios.NOW.mono_ms)}, "NOT_YET_VALID"),
     ],
 )
 def test_one_thing_that_does_not_hold_refuses_it(changes: dict[str, Any], reason: str) -> None:
@@ -87,7 +88,7 @@ def test_one_thing_that_does_not_hold_refuses_it(changes: dict[str, Any], reason
     ("facts", "reason"),
     [
         (
-            {"robot": msgspec.structs.replace(FACTS.robot, rid=worlds.OTHER)},
+            {"robot": msgspec.structs.replace(FACTS.robot, rid=scenarios.OTHER)},
             "ROBOT_MISMATCH",
         ),
         ({"robot": msgspec.structs.replace(FACTS.robot, profile=TICKET)}, "PROFILE_MISMATCH"),
@@ -120,7 +121,7 @@ def test_uses_are_counted_for_an_hour() -> None:
     mono = HOUR_MS + 10
     uses = (9, 10, 11, mono)
     fresh = attest(state().snapshot, FACTS, arrived_mono_ms=mono)
-    now = Now(worlds.NOW.utc_ms, mono)
+    now = Now(scenarios.NOW.utc_ms, mono)
     assert why(uses=uses, now=now, state=fresh) == []  # two of them are an hour old
     assert why(uses=(*uses, mono), now=now, state=fresh) == ["RATE_EXCEEDED"]
 
@@ -131,12 +132,12 @@ def test_uses_are_counted_for_an_hour() -> None:
     label=st.sampled_from(list(Label)),
     value=st.one_of(st.integers(-5, 2_000), st.booleans(), st.just("full")),
     present=st.booleans(),
-    robot=st.sampled_from([worlds.RID, worlds.OTHER]),
+    robot=st.sampled_from([scenarios.RID, scenarios.OTHER]),
 )
 def test_nothing_is_accepted_whose_guards_are_not_attested_fresh(
     age_ms: int, reading_age_ms: int, label: Label, value: Any, present: bool, robot: str
 ) -> None:
-    snapshot = snapshot_of(worlds.world("station-103"), robot=robot, epoch=1, seq=1)
+    snapshot = snapshot_of(scenarios.world("station-103"), robot=robot, epoch=1, seq=1)
     battery = VariableId("battery_permille")
     readings = {k: v for k, v in snapshot.readings.items() if k != battery}
     if present:
@@ -144,12 +145,12 @@ def test_nothing_is_accepted_whose_guards_are_not_attested_fresh(
     attested = attest(
         msgspec.structs.replace(snapshot, readings=readings),
         FACTS,
-        arrived_mono_ms=worlds.NOW.mono_ms - age_ms,
+        arrived_mono_ms=scenarios.NOW.mono_ms - age_ms,
     )
     accepted = decide_emergency(OPENED, "go-safe", Caller.PLANNER, scene(state=attested)).accepted
     holds = (
         present
-        and robot == worlds.RID
+        and robot == scenarios.RID
         and label is Label.TRUSTED_SENSOR
         and age_ms + reading_age_ms <= 500
         and type(value) is int
@@ -161,7 +162,7 @@ def test_nothing_is_accepted_whose_guards_are_not_attested_fresh(
 @given(
     lacks=st.frozensets(st.sampled_from(list(Missing))),
     stopped=st.booleans(),
-    uses=st.lists(st.integers(0, worlds.NOW.mono_ms), max_size=4).map(tuple),
+    uses=st.lists(st.integers(0, scenarios.NOW.mono_ms), max_size=4).map(tuple),
     caller=st.sampled_from(list(Caller)),
 )
 def test_taking_something_away_never_lets_more_through(
@@ -185,11 +186,11 @@ def test_the_action_is_the_capabilitys_own() -> None:
 
 def test_while_it_runs_the_same_is_asked_again() -> None:
     capability = OPENED.policy.capabilities[0]
-    lease = permit_emergency(OPENED, capability, facts=FACTS, now=worlds.NOW, ticket=TICKET)
+    lease = permit_emergency(OPENED, capability, facts=FACTS, now=scenarios.NOW, ticket=TICKET)
 
     def found(
         seen: AttestedState | None = None,
-        now: Now = worlds.NOW,
+        now: Now = scenarios.NOW,
         lacks: frozenset[Missing] = frozenset(),
     ) -> list[str]:
         at = state() if seen is None else seen
@@ -200,10 +201,10 @@ def test_while_it_runs_the_same_is_asked_again() -> None:
     assert found(state(speed_mm_s=301)) == ["BOUND_EXCEEDED"]
     assert found(state(battery_permille=1_001)) == ["GUARD_FALSE"]
     assert found(state("office-1")) == ["OUTSIDE_REGIONS"]
-    late = Now(OPENED.expiry_ms + 1, worlds.NOW.mono_ms + 120_001)
+    late = Now(OPENED.expiry_ms + 1, scenarios.NOW.mono_ms + 120_001)
     assert {"EXPIRED", "LEASE_ENDED", "STATE_STALE"} <= set(found(now=late))
     needy = policy_of(without=[]).policy.capabilities[0]
     findings = still_emergency(
-        needy, lease, state(), facts=FACTS, now=worlds.NOW, lacks=frozenset({Missing.CLOCK})
+        needy, lease, state(), facts=FACTS, now=scenarios.NOW, lacks=frozenset({Missing.CLOCK})
     )
     assert [finding.reason for finding in findings] == ["CLOCK_BEHIND"]

@@ -10,17 +10,17 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.emergency import journal as module
 from authguard_r.emergency.journal import COUNTERS, SLOT, SLOTS, EmergencyJournal, Journaled
+from fixtures import scenarios
 
 
 def record(n: int, **changes: Any) -> Journaled:
     plain = {
         "n": n,
-        "robot": worlds.RID,
+        "robot": scenarios.RID,
         "decision": "accept",
         "at_ms": 1,
         "mono_ms": n,
@@ -37,7 +37,7 @@ def record(n: int, **changes: Any) -> Journaled:
 
 
 def opened(path: Path) -> EmergencyJournal:
-    return EmergencyJournal(path, robot=worlds.RID)
+    return EmergencyJournal(path, robot=scenarios.RID)
 
 
 def test_what_was_answered_is_there_after_a_restart(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_another_robots_journal_is_refused(tmp_path: Path) -> None:
     journal.append(record(1), heard=0)
     journal.close()
     with pytest.raises(EnvironmentFault, match="expected the journal of"):
-        EmergencyJournal(path, robot=worlds.OTHER)
+        EmergencyJournal(path, robot=scenarios.OTHER)
 
 
 def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:

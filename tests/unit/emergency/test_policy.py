@@ -8,8 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import emergencies
-import worlds
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import ActionType, RobotId
 from authguard_r.core.quantities import Now, to_timestamp
@@ -19,24 +17,26 @@ from authguard_r.emergency.policy import EmergencyPolicy
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import Site
 from authguard_r.site.words import standard_words
+from fixtures import emergency_policies, scenarios
+from fixtures.cases import case
 
-GO, CALL, DROP = emergencies.GO_SAFE, emergencies.CALL, emergencies.LET_GO
+GO, CALL, DROP = emergency_policies.GO_SAFE, emergency_policies.CALL, emergency_policies.LET_GO
 
 
 def opened(value: EmergencyPolicy, *, by: str = "safety-officer-1", **changes: Any) -> Any:
     fields = {
-        "verifier": read_trust(emergencies.trust_folder()),
-        "now": worlds.NOW,
-        "site": emergencies.site(),
-        "robot": worlds.RID,
+        "verifier": read_trust(emergency_policies.trust_folder()),
+        "now": scenarios.NOW,
+        "site": emergency_policies.site(),
+        "robot": scenarios.RID,
     }
-    return open_emergency(emergencies.token(value, by=by), **{**fields, **changes})
+    return open_emergency(emergency_policies.token(value, by=by), **{**fields, **changes})
 
 
 def test_the_one_that_is_sound_and_signed_counts() -> None:
-    value = emergencies.policy()
+    value = emergency_policies.policy()
     assert opened(value).policy == value
-    assert lint_policy(value, emergencies.site()) == ()
+    assert lint_policy(value, emergency_policies.site()) == ()
 
 
 @pytest.mark.parametrize(
@@ -44,19 +44,19 @@ def test_the_one_that_is_sound_and_signed_counts() -> None:
     [
         ({}, {"by": "operator-1"}, "ROLE_DENIED"),
         ({}, {"by": "site-authority-1"}, "ROLE_DENIED"),
-        ({"robot": worlds.OTHER}, {}, "ROBOT_MISMATCH"),
+        ({"robot": scenarios.OTHER}, {}, "ROBOT_MISMATCH"),
         ({}, {"robot": RobotId("nobody")}, "ROBOT_MISMATCH"),
         ({"site": "A" * 43}, {}, "SITE_MISMATCH"),
         ({"profile": "A" * 43}, {}, "PROFILE_MISMATCH"),
-        ({"expiry": to_timestamp(worlds.START_MS - 60_000)}, {}, "EXPIRED"),
-        ({"not_before": to_timestamp(worlds.START_MS + 60_000)}, {}, "NOT_YET_VALID"),
+        ({"expiry": to_timestamp(scenarios.START_MS - 60_000)}, {}, "EXPIRED"),
+        ({"not_before": to_timestamp(scenarios.START_MS + 60_000)}, {}, "NOT_YET_VALID"),
     ],
 )
 def test_one_that_does_not_count_is_refused(
     changes: dict[str, Any], more: dict[str, Any], code: str
 ) -> None:
     with pytest.raises(AuthGuardError) as refused:
-        opened(emergencies.policy(**changes), **more)
+        opened(emergency_policies.policy(**changes), **more)
     assert refused.value.reason == code
 
 
@@ -68,23 +68,23 @@ def test_a_signer_of_other_regions_or_robots_signs_nothing_here() -> None:
 
         def __init__(self, scope: Scope) -> None:
             self._scope = scope
-            self._inner = read_trust(emergencies.trust_folder())
+            self._inner = read_trust(emergency_policies.trust_folder())
 
         def verify(self, message: bytes, endorsements: Any, now: Now) -> Any:
             signer = self._inner.verify(message, endorsements, now)
             return msgspec.structs.replace(signer, scope=self._scope)
 
     near = Scope(robots=None, regions=frozenset({"station-103"}))
-    foreign = Scope(robots=frozenset({worlds.OTHER}), regions=None)
+    foreign = Scope(robots=frozenset({scenarios.OTHER}), regions=None)
     for scope, where in ((near, "emergency.capabilities"), (foreign, "emergency.robot")):
         with pytest.raises(AuthGuardError) as refused:
-            opened(emergencies.policy(), verifier=Confined(scope))
+            opened(emergency_policies.policy(), verifier=Confined(scope))
         assert (refused.value.reason, refused.value.where) == ("SIGNER_OUT_OF_SCOPE", where)
 
 
 def test_a_policy_that_is_not_narrow_is_refused_however_it_is_signed() -> None:
     with pytest.raises(MalformedError) as refused:
-        opened(emergencies.policy({**GO, "destination": "office-1"}))
+        opened(emergency_policies.policy({**GO, "destination": "office-1"}))
     assert refused.value.where == "emergency.capabilities[0].destination"
 
 
@@ -102,25 +102,24 @@ def test_a_policy_that_is_not_narrow_is_refused_however_it_is_signed() -> None:
 )
 def test_what_the_form_has_no_place_for_is_refused(broken: dict[str, Any]) -> None:
     with pytest.raises(msgspec.ValidationError):
-        emergencies.policy(broken)
+        emergency_policies.policy(broken)
 
 
 def wide() -> Site:
     """Return the site with every standard word, and a robot that can do all of them."""
-    site = emergencies.site()
+    site = emergency_policies.site()
     words = {**standard_words(), **site.vocabulary}
     unlock = ActionType("unlatch")
     words[unlock] = words[ActionType("announce")]
-    robot = site.robots[worlds.RID]
+    robot = site.robots[scenarios.RID]
     tools = {kind: ("any", *robot.profile.tools.get(kind, ())) for kind in words}
     profile = msgspec.structs.replace(robot.profile, tools=tools)
-    robots = {**site.robots, worlds.RID: msgspec.structs.replace(robot, profile=profile)}
+    robots = {**site.robots, scenarios.RID: msgspec.structs.replace(robot, profile=profile)}
     return msgspec.structs.replace(site, vocabulary=words, robots=robots)
 
 
-@pytest.mark.parametrize(
-    ("capability", "field"),
-    [
+def test_one_thing_that_is_left_open_is_found() -> None:
+    for capability, field in [
         ({**GO, "type": "fly"}, "type"),
         ({**GO, "tool": "wings"}, "tool"),
         ({**GO, "type": "pick", "tool": "any"}, "type"),
@@ -141,20 +140,19 @@ def wide() -> Site:
         ({**GO, "past_safety": True}, "past_safety"),
         ({**GO, "callers": ["planner", "operator"]}, "callers"),
         ({**GO, "without": ["store", "store"]}, "without"),
-        ({**GO, "guards": [emergencies.guard("x", "le", 1, 5_001)]}, "guards[0].max_age_ms"),
-        ({**GO, "guards": [emergencies.guard("x", "le", True)]}, "guards[0].value"),
+        ({**GO, "guards": [emergency_policies.guard("x", "le", 1, 5_001)]}, "guards[0].max_age_ms"),
+        ({**GO, "guards": [emergency_policies.guard("x", "le", True)]}, "guards[0].value"),
         ({**CALL, "type": "unlatch", "tool": "any"}, "type"),
         ({**CALL, "type": "door_lock", "tool": "any"}, "type"),
         ({**CALL, "destination": "dock"}, "destination"),
         ({**DROP, "type": "announce", "tool": "any"}, "type"),
         ({**DROP, "type": "throw", "tool": "any"}, "type"),
         ({**DROP, "type": "grip", "tool": "any", "params": {"grip_no": 1}}, "params.grip_no"),
-    ],
-)
-def test_one_thing_that_is_left_open_is_found(capability: dict[str, Any], field: str) -> None:
-    site = wide()
-    found = lint_policy(emergencies.policy(capability, at=site), site)
-    assert f"emergency.capabilities[0].{field}" in [unsound.where for unsound in found]
+    ]:
+        with case(capability, field):
+            site = wide()
+            found = lint_policy(emergency_policies.policy(capability, at=site), site)
+            assert f"emergency.capabilities[0].{field}" in [unsound.where for unsound in found]
 
 
 def test_what_lets_go_is_sound() -> None:
@@ -162,12 +160,12 @@ def test_what_lets_go_is_sound() -> None:
     opens = {**DROP, "type": "grip", "tool": "any", "params": {"grip_no": 0}}
     still = {**DROP, "id": "in-place", "regions": ["dock"], "place_max_age_ms": 500}
     past = {**CALL, "past_safety": True}
-    assert lint_policy(emergencies.policy(opens, still, past, at=site), site) == ()
+    assert lint_policy(emergency_policies.policy(opens, still, past, at=site), site) == ()
 
 
 def test_a_site_without_emergency_places_has_nowhere_to_go() -> None:
-    site = msgspec.structs.replace(emergencies.site(), emergency=None)
-    found = lint_policy(emergencies.policy(GO, at=site), site)
+    site = msgspec.structs.replace(emergency_policies.site(), emergency=None)
+    found = lint_policy(emergency_policies.policy(GO, at=site), site)
     assert [unsound.where for unsound in found] == ["emergency.capabilities[0].destination"]
 
 
@@ -181,10 +179,10 @@ def test_a_site_without_emergency_places_has_nowhere_to_go() -> None:
     ],
 )
 def test_what_binds_a_policy_is_looked_at_first(changes: dict[str, Any], where: str) -> None:
-    found = lint_policy(emergencies.policy(**changes), emergencies.site())
+    found = lint_policy(emergency_policies.policy(**changes), emergency_policies.site())
     assert [unsound.where for unsound in found] == [where]
 
 
 def test_two_capabilities_of_one_name_are_refused() -> None:
-    found = lint_policy(emergencies.policy(GO, GO), emergencies.site())
+    found = lint_policy(emergency_policies.policy(GO, GO), emergency_policies.site())
     assert [unsound.where for unsound in found] == ["emergency.capabilities"]

@@ -16,7 +16,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.frost import curve, dkg
 from authguard_r.frost.keys import public_key, require_share
 from authguard_r.frost.messages import digest
-from frosts import NAME, finished, generated, holds, one_more, people, signature
+from fixtures.threshold_groups import NAME, finished, generated, holds, one_more, people, signature
 
 MESSAGE = b"m"
 

@@ -10,7 +10,7 @@ from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.reasons import Reason
 from authguard_r.frost import curve
 from authguard_r.frost.keys import deal, member, public_key, require_share, verification_share
-from frosts import NAME, dealt, one_more, people
+from fixtures.threshold_groups import NAME, dealt, one_more, people
 
 
 def test_every_share_fits_and_no_two_groups_are_alike() -> None:

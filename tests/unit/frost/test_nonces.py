@@ -16,7 +16,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.frost import signing
 from authguard_r.frost.messages import Commitment, digest, written
 from authguard_r.frost.nonces import NonceStore
-from frosts import dealt
+from fixtures.threshold_groups import dealt
 
 SHARE = dealt(2, 3).shares[0]
 #: Takes the nonces and dies before anything is signed with them.

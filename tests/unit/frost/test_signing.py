@@ -12,7 +12,7 @@ from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedEr
 from authguard_r.core.reasons import Reason
 from authguard_r.frost import curve, signing
 from authguard_r.frost.messages import SignatureShare
-from frosts import dealt, holds, one_more, prepared, signature
+from fixtures.threshold_groups import dealt, holds, one_more, prepared, signature
 
 MESSAGE = bytes(range(32))
 
@@ -87,7 +87,7 @@ def _less(part: SignatureShare) -> curve.Scalar:
 
 
 def _order() -> int:
-    from frosts import ORDER
+    from fixtures.threshold_groups import ORDER
 
     return ORDER
 

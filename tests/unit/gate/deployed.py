@@ -13,7 +13,6 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-import worlds
 from authguard_r.core.encoding import Tag
 from authguard_r.core.token import sign_object
 from authguard_r.gate.config import Peer, default_config
@@ -24,6 +23,7 @@ from authguard_r.safety import default_config as envelope
 from authguard_r.site.model import profile_digest
 from authguard_r.site.signed import sign_site
 from authguard_r.wire.messages import ClientRole, Mode
+from fixtures import scenarios
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def lay_out(folder: Path) -> None:
     """Write /etc, /run and the store of the courier below a folder that root owns."""
     etc = folder / "etc"
     authorities = Authorities(etc / "trust")
-    site, rid = worlds.site(), worlds.RID
+    site, rid = scenarios.site(), scenarios.RID
     (_, _, site_authority) = authorities.issue("site-authority-1", Role.SITE_AUTHORITY)
     (_, _, officer) = authorities.issue("safety-officer-1", Role.SAFETY_OFFICER)
     (etc / "site.token").write_bytes(sign_site(site, site_authority))
@@ -119,7 +119,7 @@ def lay_out(folder: Path) -> None:
     peers = tuple(Peer(uid=user.uid, roles=(role,)) for user, role in _ROLES.items())
     config = default_config(rid, peers, Mode.ENFORCE)
     (etc / "gate.token").write_bytes(sign_object(config, Tag.GATE, site_authority))
-    shutil.copy(worlds.HOSPITAL / "binding.yaml", etc / "binding.yaml")
+    shutil.copy(scenarios.HOSPITAL / "binding.yaml", etc / "binding.yaml")
     for path in (folder, *etc.rglob("*"), etc):
         path.chmod(0o755 if path.is_dir() else 0o644)
     profile = profile_digest(site.robots[rid].profile)

@@ -12,18 +12,18 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.gate.checkup import Setup
 from authguard_r.gate.config import GateConfig, Peer, default_config
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root
 from authguard_r.keys.setup import write_revocations
 from authguard_r.site.model import profile_digest
 from authguard_r.wire.messages import ClientRole, Mode
+from fixtures import scenarios
 
 #: Who runs the gate here: never root, whoever runs the tests.
 ME = os.geteuid() or 54_321
-NOW = worlds.NOW
-_BEGIN = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+NOW = scenarios.NOW
+_BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 DAY = timedelta(days=1)
 
 
@@ -43,7 +43,7 @@ def peers() -> tuple[Peer, ...]:
 
 def config(**changes: Any) -> GateConfig:
     """Return a configuration of the courier, with one thing changed."""
-    return replace(default_config(worlds.RID, peers(), Mode.ENFORCE), **changes)
+    return replace(default_config(scenarios.RID, peers(), Mode.ENFORCE), **changes)
 
 
 def write_key(path: Path, key: Ed25519PrivateKey) -> Path:
@@ -74,7 +74,7 @@ def robot(
         now=start,
         days=365,
     )
-    profile = profile_digest(worlds.site().robots[worlds.RID].profile)
+    profile = profile_digest(scenarios.site().robots[scenarios.RID].profile)
     cert = build_leaf(
         key.public_key(),
         principal="gate-courier-1",
@@ -83,7 +83,7 @@ def robot(
         key=machines_key,
         now=start,
         days=days,
-        **{"robots": (worlds.RID,), "regions": (), "profile": profile, **leaf},
+        **{"robots": (scenarios.RID,), "regions": (), "profile": profile, **leaf},
     )
     (trust / "root.pem").write_bytes(root.public_bytes(Encoding.PEM))
     (trust / "authorities" / "machines.pem").write_bytes(machines.public_bytes(Encoding.PEM))
@@ -101,8 +101,8 @@ def robot(
         trust=trust,
         key=own / "gate.key.pem",
         chain=own / "gate.cert.pem",
-        site=worlds.site(),
-        binding=worlds.binding(),
+        site=scenarios.site(),
+        binding=scenarios.binding(),
         config=config(),
         store=tmp_path / "store" / "robot.db",
         run=tmp_path / "run",

@@ -13,7 +13,6 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import ActionType, RobotId, ToolId
 from authguard_r.core.quantities import Now
@@ -33,10 +32,11 @@ from authguard_r.site.words import standard_words
 from authguard_r.store.sqlite import open_store
 from authguard_r.times import SIMULATED, SystemClock
 from authguard_r.wire.messages import ClientRole
+from fixtures import scenarios
 from unit.gate.robots import ME, NOW, config, mine, robot, write_key
 
 DAY_MS = 86_400_000
-BEGIN = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 
 
 def unsafe(setup: Setup, now: Now = NOW) -> list[Advice]:
@@ -71,12 +71,12 @@ def test_nothing_named_is_nothing_but_the_machine() -> None:
 
 
 def test_a_root_for_demonstration_refuses_a_gate_that_is_none() -> None:
-    setup = Setup(demo=False, uid=os.geteuid(), trust=worlds.trust_folder())
+    setup = Setup(demo=False, uid=os.geteuid(), trust=scenarios.trust_folder())
     found = unsafe(setup)
     assert found[0].code is Code.DEMO_ROOT
     with pytest.raises(EnvironmentFault) as error:
         require_safe(setup, NOW)
-    assert error.value.where == str(worlds.trust_folder())
+    assert error.value.where == str(scenarios.trust_folder())
     told = require_safe(replace(setup, demo=True), NOW)
     assert Code.DEMO_ROOT in {item.code for item in told if item.level is Level.WARNING}
 
@@ -151,7 +151,7 @@ def test_peoples_and_authorities_keys_are_told_also_where_nobody_named_the_gates
     tmp_path: Path,
 ) -> None:
     setup = robot(tmp_path)
-    keys = worlds.trust_folder() / "keys"
+    keys = scenarios.trust_folder() / "keys"
     for place, name in (("run", "operator-1"), ("store", "gate-courier-1")):
         for end in ("key.pem", "cert.pem"):
             target = tmp_path / place / f"{name}.{end}"
@@ -357,7 +357,7 @@ def test_a_clock_behind_the_log_is_unsafe_and_the_gate_still_serves_stops(
     ledger = Ledger(
         open_store(setup.store),
         SystemClock(),
-        robot=worlds.RID,
+        robot=scenarios.RID,
         salts=os.urandom,
         genesis={"clock": clock},
     )
@@ -401,7 +401,7 @@ def test_no_shipped_binding_moves_beliefs_under_an_ordinary_name(name: str) -> N
 
 def test_a_field_of_the_interface_that_is_not_bound_refuses(tmp_path: Path) -> None:
     setup = robot(tmp_path)
-    binding = worlds.binding()
+    binding = scenarios.binding()
     assert advice(setup, Code.UNCOMPARED).level is Level.WARNING
     surfaces = tuple(
         Surface(

@@ -9,7 +9,6 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag, encode_fast
@@ -28,23 +27,24 @@ from authguard_r.gate.vigil import notary_policy
 from authguard_r.keys.notes import witness_key
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
+from fixtures import scenarios
+from fixtures.small_witness import SmallWitness
 from unit.gate.robots import config
-from witnesses import SmallWitness
 
 ONE, TWO = (Peer(uid=n, roles=(ClientRole.PLANNER,)) for n in (1, 2))
 
 
 def opened(held: GateConfig, *, by: str = "site-authority-1", tag: Tag = Tag.GATE) -> GateConfig:
-    token = sign_object(held, tag, folder_signer(worlds.trust_folder(), by))
-    trust = read_trust(worlds.trust_folder())
-    return open_gate_config(token, verifier=trust, now=worlds.NOW, robot=worlds.RID)
+    token = sign_object(held, tag, folder_signer(scenarios.trust_folder(), by))
+    trust = read_trust(scenarios.trust_folder())
+    return open_gate_config(token, verifier=trust, now=scenarios.NOW, robot=scenarios.RID)
 
 
 def test_what_the_site_authority_signed_is_what_is_read() -> None:
     assert opened(config()) == config()
 
 
-@pytest.mark.parametrize("by", ["operator-1", "safety-officer-1", f"gate-{worlds.RID}"])
+@pytest.mark.parametrize("by", ["operator-1", "safety-officer-1", f"gate-{scenarios.RID}"])
 def test_nobody_else_says_who_may_connect(by: str) -> None:
     with pytest.raises(AuthenticityError) as refused:
         opened(config(), by=by)

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-import worlds
 from authguard_r.gate.checkup.advice import Code, Level
 from authguard_r.gate.checkup.custody import (
     file_advice,
@@ -18,6 +17,7 @@ from authguard_r.gate.checkup.custody import (
     role_of,
     stray_advice,
 )
+from fixtures import scenarios
 from unit.gate.robots import ME, mine, robot, write_key
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
@@ -125,8 +125,8 @@ def test_every_other_private_key_is_a_stray(tmp_path: Path, key: Path) -> None:
 
 
 def test_a_set_up_in_one_folder_has_everybodys_keys(tmp_path: Path) -> None:
-    folder = worlds.trust_folder()
-    own = folder / "keys" / f"gate-{worlds.RID}.key.pem"
+    folder = scenarios.trust_folder()
+    own = folder / "keys" / f"gate-{scenarios.RID}.key.pem"
     found = list(stray_advice([folder], own=own, uid=ME))
     told = {Path(item.place).name: item.message for item in found}
     for name, role in (("operator-1", "operator"), ("site-authority-1", "site_authority")):
@@ -137,9 +137,9 @@ def test_a_set_up_in_one_folder_has_everybodys_keys(tmp_path: Path) -> None:
 
 @as_root
 def test_an_estimators_key_of_its_own_user_is_no_stray(tmp_path: Path) -> None:
-    name = f"estimator-{worlds.RID}"
+    name = f"estimator-{scenarios.RID}"
     for end in ("key.pem", "cert.pem"):
-        data = (worlds.trust_folder() / "keys" / f"{name}.{end}").read_bytes()
+        data = (scenarios.trust_folder() / "keys" / f"{name}.{end}").read_bytes()
         (tmp_path / f"{name}.{end}").write_bytes(data)
     path = tmp_path / f"{name}.key.pem"
     own = tmp_path / "gate.key.pem"

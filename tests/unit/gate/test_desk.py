@@ -8,8 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.approvals import Selection
 from authguard_r.commands import Verb
 from authguard_r.core.approval import Approval, Verdict
@@ -33,7 +31,8 @@ from authguard_r.wire.messages import (
     Sample,
     Stood,
 )
-from unit.gate.house import FORBIDDEN, GO, SCAN, Guest, House, Refused, reasons
+from fixtures import scenarios, templates
+from unit.gate.demo_site import FORBIDDEN, GO, SCAN, Guest, House, Refused, reasons
 
 TICKET = "A" * 43
 
@@ -82,7 +81,7 @@ def test_a_fault_of_ours_is_an_answer_and_everybody_is_served_on() -> None:
         assert refused.value.code == "INTERNAL_FAULT"
         house.gate.ledger.store._rows.pop()
         assert other.ask(Kind.METRICS)["open_leases"] == 0
-        assert operator.ask(Kind.STATUS)["robot"] == worlds.RID
+        assert operator.ask(Kind.STATUS)["robot"] == scenarios.RID
 
 
 # state
@@ -101,8 +100,8 @@ def test_a_snapshot_is_taken_in_once_and_its_replay_leaves_the_last_in_force() -
                 house.estimator.ask(Kind.SNAPSHOT, Attest(token=house._said or b""))
             assert again.value.code == "STATE_REPLAYED"
             assert house.gate.enforcer.intake.state is newest
-        old = snapshot_of(house.robot.state, robot=worlds.RID, epoch=1, seq=0)
-        signed = sign_object(old, Tag.STATE, house.signer(f"estimator-{worlds.RID}"))
+        old = snapshot_of(house.robot.state, robot=scenarios.RID, epoch=1, seq=0)
+        signed = sign_object(old, Tag.STATE, house.signer(f"estimator-{scenarios.RID}"))
         for token, code in (
             (signed, "STATE_REPLAYED"),
             (signed[:-9], "MALFORMED"),
@@ -133,7 +132,7 @@ def test_a_snapshot_before_any_other_that_is_forged_gives_no_state() -> None:
 def test_every_order_is_the_signature_of_its_token_not_the_role_that_hands_it_in() -> None:
     with House(robot=False) as house:
         operator = house.enter(ClientRole.OPERATOR)
-        forged = sign_object(worlds.mission(), Tag.MISSION, house.signer("supervisor-1"))
+        forged = sign_object(scenarios.mission(), Tag.MISSION, house.signer("supervisor-1"))
         with pytest.raises(Refused) as refused:
             operator.ask(Kind.ORDER, Order(act=Act.ACTIVATE, token=forged))
         assert (refused.value.code, refused.value.family) == ("ROLE_DENIED", "authenticity")
@@ -165,7 +164,7 @@ def test_a_choice_is_handed_in() -> None:
             grant="pick-p1",
             row=0,
             nonce=b64(bytes(16)),
-            expires_ms=worlds.START_MS + 10**6,
+            expires_ms=scenarios.START_MS + 10**6,
         )
         token = sign_object(value, Tag.SELECTION, house.signer("operator-1"))
         assert "standing" in order(house, Act.SELECT, token)
@@ -188,8 +187,8 @@ def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
             "scope": TICKET,
             "situation": TICKET,
             "verdict": Verdict.APPROVE,
-            "expires_ms": worlds.START_MS + 60_000,
-            "rid": worlds.RID,
+            "expires_ms": scenarios.START_MS + 60_000,
+            "rid": scenarios.RID,
         }
         known = {f.name for f in msgspec.structs.fields(Approval)}
         value = Approval(**{k: v for k, v in fields.items() if k in known})
@@ -202,18 +201,18 @@ def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
 
 
 def test_a_template_is_taken_in_and_withdrawn_with_the_mission_that_it_made() -> None:
-    with House(robot=False, trust=deliveries.one_folder()) as house:
-        kept = order(house, Act.TEMPLATE, deliveries.signed())["standing"]
+    with House(robot=False, trust=templates.one_folder()) as house:
+        kept = order(house, Act.TEMPLATE, templates.signed())["standing"]
         assert (kept["used"], kept["withdrawn"]) == (0, False)
-        made = order(house, Act.ACTIVATE, deliveries.token())["standing"]
+        made = order(house, Act.ACTIVATE, templates.token())["standing"]
         assert made["status"] == "active"
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["mission"]["mid"] == made["mid"]
-        gone = order(house, Act.TEMPLATE, deliveries.withdrawal())["standing"]
+        gone = order(house, Act.TEMPLATE, templates.withdrawal())["standing"]
         assert gone["withdrawn"] is True
         assert auditor.ask(Kind.STATUS)["mission"] is None
         with pytest.raises(Refused):
-            order(house, Act.TEMPLATE, deliveries.signed())
+            order(house, Act.TEMPLATE, templates.signed())
 
 
 def test_an_order_that_is_refused_looks_at_what_runs_all_the_same() -> None:
@@ -269,7 +268,7 @@ def test_who_watches_is_told_of_decisions_outcomes_stops_orders_and_clients() ->
             assert kind in kinds
         assert kinds.count("stop") == 1
         assert told[-1] == {**told[-1], "event": "client", "role": "planner", "here": False}
-        assert all(event["time_ms"] >= worlds.START_MS for event in told)
+        assert all(event["time_ms"] >= scenarios.START_MS for event in told)
 
 
 def test_a_view_knows_of_the_mission_after_each_order() -> None:

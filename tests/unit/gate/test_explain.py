@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.cli.app import program
 from authguard_r.commands import Verb
@@ -19,7 +18,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.gate.explain import explanation
 from authguard_r.gate.mends import _ANSWERS, EMERGENCY_MENDS, MENDS, mends_of
 from authguard_r.wire.messages import Act, ClientRole, Explain, Kind, Observe, Order
-from unit.gate.house import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
+from fixtures import scenarios
+from unit.gate.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
 from unit.gate.test_rescues import Ward
 
 #: Too fast: one bound, which a signature can raise.
@@ -217,12 +217,12 @@ def test_what_the_safety_gate_refused_is_the_last_refusal_too() -> None:
 @pytest.fixture(scope="module")
 def refused() -> tuple[Record, dict[str, Sealed], Mission]:
     """One refused decision as it lies in a log."""
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
-    worlds.propose(sim, worlds.navigate("dock", "pharmacy", speed=1_200))
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    scenarios.propose(sim, scenarios.navigate("dock", "pharmacy", speed=1_200))
     row = sim.gate.ledger.store.rows()[-1]
     record = read_record(row.record, where="")
-    return record, read_sealed(row.sealed, where=""), worlds.mission()
+    return record, read_sealed(row.sealed, where=""), scenarios.mission()
 
 
 def test_values_that_were_destroyed_are_not_told(

@@ -13,8 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import lanes
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.greeting import Greeting, require_welcome
 from authguard_r.core.quantities import Now
@@ -34,10 +32,11 @@ from authguard_r.gate.peers import OVERFLOW_UID
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import FrameReader, frame, raw_frame, read_body
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, Stood, StopHeard, Welcome
+from fixtures import estop_fixtures, scenarios
 
 ME, STRANGER, PLANNER, DRIVER = 1_000, 1_001, 1_002, 1_003
 EPOCH = 77
-CONFIG = lanes.config(
+CONFIG = estop_fixtures.config(
     Named(uid=ME, roles=(ClientRole.OPERATOR,)),
     Named(uid=PLANNER, roles=(ClientRole.PLANNER,)),
     Named(uid=DRIVER, roles=(ClientRole.CONTROLLER,)),
@@ -51,8 +50,8 @@ class World:
     def __init__(self, config: Any = CONFIG, journal: Journal | None = None) -> None:
         self.ms = 5_000
         self.journal = journal if journal is not None else Journal(EPOCH)
-        signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
-        self.desk = Desk(worlds.RID, config, own_uid=ME, signer=signer, journal=self.journal)
+        signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
+        self.desk = Desk(scenarios.RID, config, own_uid=ME, signer=signer, journal=self.journal)
 
     @property
     def now(self) -> Now:
@@ -362,7 +361,7 @@ def test_a_forged_role_is_refused(uid: int, role: ClientRole) -> None:
 
 
 def test_a_configuration_cannot_make_another_user_the_gate() -> None:
-    world = World(lanes.config(Named(uid=PLANNER, roles=(ClientRole.GATE,))))
+    world = World(estop_fixtures.config(Named(uid=PLANNER, roles=(ClientRole.GATE,))))
     forger = world.open(PLANNER)
     world.say(forger, Kind.HELLO, hello(ClientRole.GATE, "gate"))
     assert code(forger) == ("ROLE_DENIED", "peer")
@@ -371,7 +370,7 @@ def test_a_configuration_cannot_make_another_user_the_gate() -> None:
 
 @pytest.mark.parametrize("uid", [STRANGER, OVERFLOW_UID])
 def test_a_user_that_is_not_named_may_not_even_stop(uid: int) -> None:
-    world = World(lanes.config(Named(uid=OVERFLOW_UID, roles=(ClientRole.PLANNER,))))
+    world = World(estop_fixtures.config(Named(uid=OVERFLOW_UID, roles=(ClientRole.PLANNER,))))
     assert code(world.open(uid)) == ("ROLE_DENIED", "peer")
 
 
@@ -487,23 +486,23 @@ def test_a_client_that_does_not_read_is_ended_and_holds_a_bounded_heap() -> None
 def test_the_lane_proves_with_the_gate_s_key_that_it_is_the_robot_s() -> None:
     world = World()
     robot = world.open(DRIVER)
-    world.say(robot, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot", lanes.NONCE))
+    world.say(robot, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot", estop_fixtures.NONCE))
     assert said(robot) == []
     world.desk.work(world.now)
     (item,) = FrameReader(lambda kind: 1 << 20).feed(bytes(robot.out))
-    trust = read_trust(worlds.trust_folder())
+    trust = read_trust(scenarios.trust_folder())
     require_welcome(
         read_body(item.body, Welcome),
-        Greeting(role=ClientRole.CONTROLLER, client="robot", verifier=trust, robot=worlds.RID),
-        nonce=lanes.NONCE,
-        now=worlds.NOW,
+        Greeting(role=ClientRole.CONTROLLER, client="robot", verifier=trust, robot=scenarios.RID),
+        nonce=estop_fixtures.NONCE,
+        now=scenarios.NOW,
     )
 
 
 def test_a_client_that_ends_before_its_proof_is_made_costs_none() -> None:
     world = World()
     robot = world.open(DRIVER)
-    world.say(robot, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot", lanes.NONCE))
+    world.say(robot, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot", estop_fixtures.NONCE))
     world.stand(robot, 1)  # a controller that is not welcomed yet has nothing to say
     world.desk.close(robot, world.now)
     world.desk.work(world.now)
@@ -776,7 +775,7 @@ def test_a_sync_of_a_gate_that_is_gone_is_not_answered_to_the_next_one() -> None
 def test_a_gate_that_is_not_welcomed_yet_has_no_answer() -> None:
     world = World()
     early = world.open(ME)
-    world.say(early, Kind.HELLO, hello(ClientRole.GATE, "gate", lanes.NONCE))
+    world.say(early, Kind.HELLO, hello(ClientRole.GATE, "gate", estop_fixtures.NONCE))
     world.say(early, Kind.SYNC, {}, 1)
     assert said(early) == []
 

@@ -14,8 +14,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-import lanes
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import Tag
@@ -27,7 +25,8 @@ from authguard_r.gate.lane.link import LaneLink
 from authguard_r.gate.lane.place import PID, SOCKET
 from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.wire.messages import ClientRole, StopHeard
-from unit.gate.house import PATIENCE_S
+from fixtures import estop_fixtures, scenarios
+from unit.gate.demo_site import PATIENCE_S
 
 
 class Listener:
@@ -55,7 +54,7 @@ class Listener:
 
 @pytest.fixture
 def files() -> Iterator[LaneFiles]:
-    made = lanes.files()
+    made = estop_fixtures.files()
     yield made
     with suppress(OSError, ValueError):
         os.kill(lane_pid(made), signal.SIGKILL)
@@ -286,8 +285,8 @@ def test_a_lane_of_another_configuration_is_retired_and_one_of_this_started(
     old, new = LaneKeeper(files), LaneKeeper(files)
     old.start()
     first = lane_pid(files)
-    signer = folder_signer(worlds.trust_folder(), "site-authority-1")
-    files.config.write_bytes(sign_object(lanes.config(connections=3), Tag.GATE, signer))
+    signer = folder_signer(scenarios.trust_folder(), "site-authority-1")
+    files.config.write_bytes(sign_object(estop_fixtures.config(connections=3), Tag.GATE, signer))
     try:
         new.start()
         assert lane_pid(files) != first

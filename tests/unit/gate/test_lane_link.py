@@ -9,15 +9,15 @@ import sys
 import pytest
 from msgspec.structs import replace
 
-import lanes
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.gate.lane.link import _ready, start_lane
 from authguard_r.gate.lane.run import LaneFiles
+from fixtures import estop_fixtures
 
 
 @pytest.fixture
 def files() -> LaneFiles:
-    return lanes.files()
+    return estop_fixtures.files()
 
 
 def test_a_run_folder_whose_path_is_too_long_is_said_as_the_lane_says_it(files: LaneFiles) -> None:

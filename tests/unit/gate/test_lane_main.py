@@ -11,22 +11,21 @@ import sys
 
 from coverage import Coverage
 
-import lanes
-import worlds
 from authguard_r.gate.lane.link import _MAIN
 from authguard_r.gate.lane.main import ask
+from fixtures import estop_fixtures, scenarios
 
 
 def started(argument: str) -> subprocess.Popen[bytes]:
     env = dict(os.environ)
     if Coverage.current() is not None:  # what it runs through counts too
-        env |= {"COVERAGE_PROCESS_START": str(worlds.ROOT / "pyproject.toml")}
+        env |= {"COVERAGE_PROCESS_START": str(scenarios.ROOT / "pyproject.toml")}
     words = [sys.executable, "-c", _MAIN, argument]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, env=env, cwd=worlds.ROOT)
+    return subprocess.Popen(words, stdout=subprocess.PIPE, env=env, cwd=scenarios.ROOT)
 
 
 def test_a_lane_says_that_it_serves_and_ends_on_a_signal() -> None:
-    with started(ask(lanes.files())) as process:
+    with started(ask(estop_fixtures.files())) as process:
         assert process.stdout is not None
         said = json.loads(process.stdout.readline())
         assert (said["ready"], said["pid"]) == (True, process.pid)
@@ -35,7 +34,7 @@ def test_a_lane_says_that_it_serves_and_ends_on_a_signal() -> None:
 
 
 def test_a_lane_that_cannot_serve_says_why() -> None:
-    files = lanes.files()
+    files = estop_fixtures.files()
     files.config.unlink()
     process = started(ask(files))
     out, _ = process.communicate(timeout=60)

@@ -22,8 +22,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import lanes
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -51,13 +49,14 @@ from authguard_r.gate.lane.run import Favor, Ready, ask_favor, is_given, run_lan
 from authguard_r.gate.lane.spool import MOST_SPOOLED, Spool, left_by, next_epoch
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, StopHeard
+from fixtures import estop_fixtures, scenarios
 
 FULL = "/dev/full"
 
 
 @pytest.fixture
 def run() -> Path:
-    return lanes.files().run
+    return estop_fixtures.files().run
 
 
 @contextmanager
@@ -69,9 +68,9 @@ def serving(
     woken, waking = socket.socketpair()
     lane = Lane(
         place,
-        worlds.RID,
-        config or lanes.config(),
-        signer=folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}"),
+        scenarios.RID,
+        config or estop_fixtures.config(),
+        signer=folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}"),
         wake=woken.fileno(),
         say=(said if said is not None else []).append,
     )
@@ -81,7 +80,7 @@ def serving(
         yield lane
     finally:
         waking.send(b"\0")
-        thread.join(lanes.SOON_S)
+        thread.join(estop_fixtures.SOON_S)
         assert not thread.is_alive()
         woken.close()
         waking.close()
@@ -267,19 +266,19 @@ def test_a_socket_with_a_full_queue_is_served(run: Path) -> None:
 
 def test_a_stop_goes_through_the_loop_and_into_the_file(run: Path) -> None:
     with serving(run):
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
-        with lanes.obedient_robot(run):
-            assert lanes.stops(client, "smoke")["controller"] is True
-            lanes.until(lambda: spooled(run), "the spool's first line")
-        lanes.until(lambda: not client.stop("later")["controller"], "the robot's end")
+        with estop_fixtures.obedient_robot(run):
+            assert estop_fixtures.stops(client, "smoke")["controller"] is True
+            estop_fixtures.until(lambda: spooled(run), "the spool's first line")
+        estop_fixtures.until(lambda: not client.stop("later")["controller"], "the robot's end")
         client.close()
     assert [line["why"] for line in spooled(run)][:: len(spooled(run)) - 1] == ["smoke", "later"]
 
 
 def test_what_waits_when_the_lane_ends_is_written(run: Path) -> None:
     with serving(run):
-        robot, client = lanes.Robot(run), lanes.Client(run)
+        robot, client = estop_fixtures.Robot(run), estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
         client.say(Kind.STOP, {}, 1)
         robot.halted()
@@ -291,23 +290,23 @@ def test_a_gate_that_records_leaves_the_file_empty_and_one_that_does_not_fills_i
     run: Path,
 ) -> None:
     with serving(run) as lane:
-        client, gate = lanes.Client(run), lanes.Client(run)
+        client, gate = estop_fixtures.Client(run), estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
         client.stop()
-        lanes.until(lambda: len(spooled(run)) == 1, "the spool's line")
+        estop_fixtures.until(lambda: len(spooled(run)) == 1, "the spool's line")
         gate.hello(ClientRole.GATE)
         assert gate.told(Kind.EVENT)["n"] == 1
         gate.say(Kind.HEARD, {"n": 1})
-        lanes.until(lambda: not spooled(run), "the spool's emptying")
+        estop_fixtures.until(lambda: not spooled(run), "the spool's emptying")
         assert len(lane.journal) == 0
         client.stop()
         assert gate.told(Kind.EVENT)["n"] == 2
-        lanes.until(lambda: [line["n"] for line in spooled(run)] == [2], "the second line")
+        estop_fixtures.until(lambda: [line["n"] for line in spooled(run)] == [2], "the second line")
 
 
 def test_pipelined_stops_are_all_answered_in_turn(run: Path) -> None:
-    with serving(run), lanes.obedient_robot(run):
-        client = lanes.Client(run)
+    with serving(run), estop_fixtures.obedient_robot(run):
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
         client.line.sendall(b"".join(frame(Kind.STOP, n, {}) for n in range(500)))
         answered = [client.next() for _ in range(500)]
@@ -316,7 +315,7 @@ def test_pipelined_stops_are_all_answered_in_turn(run: Path) -> None:
 
 def test_a_client_that_never_reads_is_dropped_and_delays_nobody(run: Path) -> None:
     with serving(run):
-        deaf, client = lanes.Client(run), lanes.Client(run)
+        deaf, client = estop_fixtures.Client(run), estop_fixtures.Client(run)
         deaf.hello(ClientRole.PLANNER)
         client.hello(ClientRole.PLANNER)
         deaf.line.settimeout(0)
@@ -331,16 +330,16 @@ def test_a_client_that_never_reads_is_dropped_and_delays_nobody(run: Path) -> No
             assert client.stop()["controller"] is False
             return False
 
-        lanes.until(is_dropped, "the deaf client's end")
+        estop_fixtures.until(is_dropped, "the deaf client's end")
         assert client.stop()["controller"] is False
 
 
 def test_a_slow_reader_gets_everything_once_it_reads(run: Path) -> None:
     with serving(run):
-        slow = lanes.Client(run)
+        slow = estop_fixtures.Client(run)
         slow.hello(ClientRole.PLANNER)
         slow.line.sendall(frame(Kind.STOP, 1, {}) * 700)
-        lanes.until(lambda: counted(run) == 700, "the last stop")
+        estop_fixtures.until(lambda: counted(run) == 700, "the last stop")
         for _ in range(700):
             assert slow.told(Kind.REPLY)["controller"] is False
 
@@ -349,10 +348,10 @@ def test_what_was_ended_is_said_once_with_its_count(run: Path) -> None:
     said: list[bytes] = []
     with serving(run, said=said):
         for _ in range(3):
-            wrong = lanes.Client(run)
+            wrong = estop_fixtures.Client(run)
             wrong.line.sendall(b"\xff" * 64)
             assert wrong.dropped()["where"] == "frame.kind"
-        lanes.until(lambda: said, "a line in the log")
+        estop_fixtures.until(lambda: said, "a line in the log")
     assert json.loads(said[0]) == {
         "ended": 1,
         "uid": os.geteuid(),
@@ -363,7 +362,7 @@ def test_what_was_ended_is_said_once_with_its_count(run: Path) -> None:
 
 def test_a_disk_that_takes_nothing_delays_no_stop_and_is_asked_seldom(run: Path) -> None:
     with serving(run) as lane:
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
         file, lane.spool._file = lane.spool._file, os.open(FULL, os.O_WRONLY)
         for _ in range(3):
@@ -371,7 +370,7 @@ def test_a_disk_that_takes_nothing_delays_no_stop_and_is_asked_seldom(run: Path)
         assert spooled(run) == []
         os.close(lane.spool._file)
         lane.spool._file = file
-        lanes.until(lambda: len(spooled(run)) == 3, "the spool")
+        estop_fixtures.until(lambda: len(spooled(run)) == 3, "the spool")
 
 
 def test_more_stops_than_one_write_takes_are_written_in_order(run: Path) -> None:
@@ -390,14 +389,18 @@ def test_an_operator_s_stop_is_in_a_file_that_no_flood_fills_and_the_next_lane_h
     run: Path,
 ) -> None:
     with serving(run) as lane:
-        planner, operator, gate = lanes.Client(run), lanes.Client(run), lanes.Client(run)
+        planner, operator, gate = (
+            estop_fixtures.Client(run),
+            estop_fixtures.Client(run),
+            estop_fixtures.Client(run),
+        )
         planner.hello(ClientRole.PLANNER)
         operator.hello(ClientRole.OPERATOR)
         gate.hello(ClientRole.GATE)  # one that listens and hears nothing
         lane.spool._most = 0
         planner.stop("flood")
         operator.stop("mine")
-        lanes.until(lambda: spooled(run, FIRST_SPOOL), "the operator's line")
+        estop_fixtures.until(lambda: spooled(run, FIRST_SPOOL), "the operator's line")
         assert lane.journal.others.is_fresh
         events = [gate.told(Kind.EVENT) for _ in range(2)]
         gate.say(Kind.HEARD, {"n": events[0]["n"]})
@@ -406,13 +409,13 @@ def test_an_operator_s_stop_is_in_a_file_that_no_flood_fills_and_the_next_lane_h
     (run / SPOOL).unlink()
     (run / FIRST_SPOOL).write_bytes(left)
     with serving(run) as lane:
-        gate = lanes.Client(run)
+        gate = estop_fixtures.Client(run)
         gate.hello(ClientRole.GATE)
         event = gate.told(Kind.EVENT)
         assert (event["why"], event["epoch"], event["n"]) == ("mine", epoch, 2)
         assert lane.journal.epoch > epoch
         gate.say(Kind.HEARD, {"n": 2})
-        lanes.until(lambda: not spooled(run, FIRST_SPOOL), "the emptying")
+        estop_fixtures.until(lambda: not spooled(run, FIRST_SPOOL), "the emptying")
 
 
 @pytest.mark.parametrize(
@@ -450,10 +453,15 @@ def test_only_an_operator_s_stop_suspends() -> None:
 def turning(run: Path) -> Iterator[Lane]:
     """A lane whose turns the test makes."""
     place = take_place(run)
-    signer = folder_signer(worlds.trust_folder(), f"gate-{worlds.RID}")
+    signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
     woken, waking = socket.socketpair()
     lane = Lane(
-        place, worlds.RID, lanes.config(), signer=signer, wake=woken.fileno(), say=lambda _: None
+        place,
+        scenarios.RID,
+        estop_fixtures.config(),
+        signer=signer,
+        wake=woken.fileno(),
+        say=lambda _: None,
     )
     yield lane
     waking.send(b"\0")
@@ -465,7 +473,7 @@ def turning(run: Path) -> Iterator[Lane]:
 
 def test_a_client_that_was_ended_in_this_turn_is_not_served_in_it(run: Path) -> None:
     with turning(run) as lane:
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         lane._turn()
         (peer,) = lane._lines
         client.line.sendall(b"\xff" * 9)
@@ -478,7 +486,7 @@ def test_a_client_that_was_ended_in_this_turn_is_not_served_in_it(run: Path) -> 
 def test_a_flood_of_connections_is_taken_in_few_turns_with_others_in_between(run: Path) -> None:
     with turning(run) as lane, selectors.DefaultSelector() as selector:
         selector.register(lane._listener, selectors.EVENT_READ)
-        lines = lanes.many(run, ACCEPTS + 5)
+        lines = estop_fixtures.many(run, ACCEPTS + 5)
         lane._turn()
         assert selector.select(0)
         lane._turn()
@@ -489,7 +497,7 @@ def test_a_flood_of_connections_is_taken_in_few_turns_with_others_in_between(run
 
 def test_a_client_that_leaves_without_reading_is_let_go(run: Path) -> None:
     with turning(run) as lane:
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         client.say(Kind.HELLO, {"protocol": PROTOCOL, "role": "planner", "client": "p"})
         lane._turn()
         lane._turn()
@@ -500,10 +508,10 @@ def test_a_client_that_leaves_without_reading_is_let_go(run: Path) -> None:
 
 def test_a_connection_that_is_broken_in_the_middle_is_let_go(run: Path) -> None:
     with serving(run):
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
         for how in (b"\0\0", frame(Kind.STOP, 1, {}) * 400):
-            other = lanes.Client(run)
+            other = estop_fixtures.Client(run)
             other.hello(ClientRole.PLANNER)
             other.line.sendall(how)
             other.line.close()
@@ -514,11 +522,11 @@ def test_when_no_connection_is_left_for_anybody_those_that_are_there_are_served(
     run: Path,
 ) -> None:
     with serving(run):
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
         taken: list[int] = []
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        waiting = lanes.many(run, 1)
+        waiting = estop_fixtures.many(run, 1)
         extra = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         resource.setrlimit(resource.RLIMIT_NOFILE, (extra.fileno() + 1, hard))
         try:
@@ -531,17 +539,17 @@ def test_when_no_connection_is_left_for_anybody_those_that_are_there_are_served(
             for number in taken:
                 os.close(number)
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        assert lanes.until(lambda: lanes.open_of([*waiting, extra]) == 2)
+        assert estop_fixtures.until(lambda: estop_fixtures.open_of([*waiting, extra]) == 2)
         for line in (*waiting, extra):
             line.close()
 
 
 def test_a_flood_of_connections_gets_what_one_user_may_have(run: Path) -> None:
-    with serving(run, lanes.config(connections=5)):
-        client = lanes.Client(run)
+    with serving(run, estop_fixtures.config(connections=5)):
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.PLANNER)
-        lines = lanes.many(run, 200)
-        lanes.until(lambda: lanes.open_of(lines) <= 4, "the end of the excess")
+        lines = estop_fixtures.many(run, 200)
+        estop_fixtures.until(lambda: estop_fixtures.open_of(lines) <= 4, "the end of the excess")
         assert client.stop()["controller"] is False
         for line in lines:
             line.close()
@@ -574,11 +582,11 @@ def seen_by(files: Any, act: Callable[[Ready], None], favor: Any = None) -> list
 
 
 def test_a_lane_says_what_it_is_and_leaves_nothing_behind_but_the_file() -> None:
-    files = lanes.files()
+    files = estop_fixtures.files()
     before = signal.getsignal(signal.SIGTERM)
 
     def act(ready: Ready) -> None:
-        client = lanes.Client(files.run)
+        client = estop_fixtures.Client(files.run)
         client.hello(ClientRole.PLANNER)
         client.stop("once")
         client.close()
@@ -605,12 +613,12 @@ def test_what_the_machine_does_not_give_is_done_without() -> None:
 
 
 def test_a_lane_does_not_start_with_another_robot_s_certificate() -> None:
-    files = lanes.files()
-    keys = worlds.trust_folder() / "keys"
+    files = estop_fixtures.files()
+    keys = scenarios.trust_folder() / "keys"
     other = msgspec.structs.replace(
         files,
-        key=keys / f"gate-{worlds.OTHER}.key.pem",
-        cert=keys / f"gate-{worlds.OTHER}.cert.pem",
+        key=keys / f"gate-{scenarios.OTHER}.key.pem",
+        cert=keys / f"gate-{scenarios.OTHER}.cert.pem",
     )
     with pytest.raises(AuthenticityError) as caught:
         run_lane(other, lambda ready: None)
@@ -619,7 +627,7 @@ def test_a_lane_does_not_start_with_another_robot_s_certificate() -> None:
 
 
 def test_a_lane_does_not_start_with_a_configuration_that_does_not_hold() -> None:
-    files = lanes.files()
+    files = estop_fixtures.files()
     files.config.write_bytes(files.config.read_bytes().replace(b"A", b"B", 1))
     with pytest.raises((AuthenticityError, MalformedError)):
         run_lane(files, lambda ready: None)
@@ -652,7 +660,7 @@ def test_the_log_is_written_or_not_but_never_waited_for(capfd: pytest.CaptureFix
 
 
 def test_a_gate_hears_of_stops_and_forgets_them() -> None:
-    files = lanes.files()
+    files = estop_fixtures.files()
     heard: list[StopHeard] = []
     lost: list[AuthGuardError | None] = []
 
@@ -662,7 +670,7 @@ def test_a_gate_hears_of_stops_and_forgets_them() -> None:
         await soon(lambda: heard)
         link.heard(heard[-1].n)
         assert link.welcome is not None
-        assert link.welcome.robot == worlds.RID
+        assert link.welcome.robot == scenarios.RID
         second = LaneLink(files.run / SOCKET, heard.append)
         await second.connect()
         await soon(lambda: lost)
@@ -672,18 +680,18 @@ def test_a_gate_hears_of_stops_and_forgets_them() -> None:
         await soon(lambda: second._line is None)
 
     with serving(files.run) as lane:
-        client = lanes.Client(files.run)
+        client = estop_fixtures.Client(files.run)
         client.hello(ClientRole.OPERATOR, "anna")
         client.stop("enough")
         asyncio.run(gate())
-        lanes.until(lambda: not lane.journal, "the forgetting")
+        estop_fixtures.until(lambda: not lane.journal, "the forgetting")
     assert [(s.by, s.role, s.why) for s in heard] == [("anna", ClientRole.OPERATOR, "enough")]
     assert lost[0] is not None
     assert lost[0].reason is Reason.BUSY
 
 
 async def soon(true: Callable[[], Any]) -> None:
-    end = time.monotonic() + lanes.SOON_S
+    end = time.monotonic() + estop_fixtures.SOON_S
     while not true():
         assert time.monotonic() < end
         await asyncio.sleep(0.005)
@@ -726,7 +734,7 @@ def test_a_gate_that_asks_is_answered_after_it_heard_and_never_when_the_lane_is_
 ) -> None:
     came: list[str] = []
 
-    async def gate(lane_client: lanes.Client) -> None:
+    async def gate(lane_client: estop_fixtures.Client) -> None:
         link = LaneLink(run / SOCKET, lambda stop: came.append(stop.why))
         link.sync(lambda: came.append("before it was there"))
         assert not link.connected
@@ -742,7 +750,7 @@ def test_a_gate_that_asks_is_answered_after_it_heard_and_never_when_the_lane_is_
         await soon(lambda: not link.connected)
 
     with serving(run):
-        client = lanes.Client(run)
+        client = estop_fixtures.Client(run)
         client.hello(ClientRole.OPERATOR)
         asyncio.run(gate(client))
     assert came == ["mine", "one", "two"]
@@ -771,7 +779,7 @@ def test_a_gate_whose_lane_takes_nobody_says_so(run: Path, monkeypatch: pytest.M
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.bind(str(run / SOCKET))
     listener.listen(0)
-    waiting = lanes.many(run, 1)
+    waiting = estop_fixtures.many(run, 1)
     with pytest.raises(EnvironmentFault, match="queue is full"):
         asyncio.run(LaneLink(run / SOCKET, lambda stop: None).connect())
     waiting[0].close()
@@ -779,7 +787,7 @@ def test_a_gate_whose_lane_takes_nobody_says_so(run: Path, monkeypatch: pytest.M
 
 
 def test_a_lane_is_started_once_and_outlives_its_starter() -> None:
-    files = lanes.files()
+    files = estop_fixtures.files()
     process = start_lane(files)
     assert process is not None
     try:
@@ -787,7 +795,7 @@ def test_a_lane_is_started_once_and_outlives_its_starter() -> None:
         assert start_lane(files) is None
         assert is_served(files.run / SOCKET)
         process.terminate()
-        assert process.wait(lanes.SOON_S) == 0
+        assert process.wait(estop_fixtures.SOON_S) == 0
         assert not (files.run / SOCKET).exists()
     finally:
         process.kill()
@@ -795,7 +803,7 @@ def test_a_lane_is_started_once_and_outlives_its_starter() -> None:
 
 
 def test_a_lane_that_does_not_serve_is_said_to() -> None:
-    files = lanes.files()
+    files = estop_fixtures.files()
     files.config.unlink()
     with pytest.raises(EnvironmentFault, match="cannot read"):
         start_lane(files)
@@ -807,4 +815,4 @@ def test_a_lane_that_does_not_serve_is_said_to() -> None:
 def test_a_lane_that_says_nothing_is_said_not_to_serve(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("authguard_r.gate.lane.link.sys.executable", "/bin/true")
     with pytest.raises(EnvironmentFault, match="does not say"):
-        start_lane(lanes.files())
+        start_lane(estop_fixtures.files())

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Verdict
 from authguard_r.core.identifiers import Identifier
@@ -16,7 +15,8 @@ from authguard_r.gate.liveness import _COUNTED, _SHOWN, Liveness
 from authguard_r.report import Refusal, Report
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import ClientRole
-from unit.gate.house import HandClock
+from fixtures import scenarios
+from unit.gate.demo_site import HandClock
 from unit.gate.robots import config
 
 REFUSED = Report(judged=None, refusal=Refusal(Reason.MALFORMED, "x", "y"))
@@ -103,12 +103,12 @@ def test_ages_are_since_the_last_word_and_nothing_for_who_never_spoke() -> None:
 
 
 def released(*, succeeds: bool) -> Report:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     if not succeeds:
         sim.robot.pause(0)
         sim.robot.faults = Faults(controller_refuses=True)
-    report: Report = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    report: Report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     return report
 
 
@@ -128,15 +128,15 @@ def test_refusals_in_a_row_are_no_progress_and_a_success_begins_anew() -> None:
 
 def asking(action: Action, **changes: Any) -> Report:
     """Return what becomes of an action under a mission whose refusals ask a person."""
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token(worlds.mission(on_refusal="ask", **changes)))
-    report: Report = worlds.propose(sim, action)
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token(scenarios.mission(on_refusal="ask", **changes)))
+    report: Report = scenarios.propose(sim, action)
     return report
 
 
 def test_a_person_is_asked_once_for_a_row_where_the_mission_says_so() -> None:
     bench = Bench(refusals=0)
-    refused = asking(worlds.navigate("dock", "office-1"))
+    refused = asking(scenarios.navigate("dock", "office-1"))
     for name in ("u1.a", "u1.b", "u2.a"):  # a name is nobody else's
         bench.liveness.judge(Identifier(name), refused)
     asked = {"what": "a person is asked", "decision": refused.seq}
@@ -148,8 +148,8 @@ def test_a_person_is_asked_once_for_a_row_where_the_mission_says_so() -> None:
 
 def test_nobody_is_asked_what_an_approvals_request_asks_already() -> None:
     bench = Bench(refusals=0)
-    everything = {**worlds.draft()["risk_policy"], "tau_1": 0}
-    waits = asking(worlds.navigate("dock", "pharmacy"), risk_policy=everything)
+    everything = {**scenarios.draft()["risk_policy"], "tau_1": 0}
+    waits = asking(scenarios.navigate("dock", "pharmacy"), risk_policy=everything)
     assert waits.judged is not None
     assert waits.judged.decision.verdict is Verdict.REQUEST_APPROVAL
     bench.liveness.judge(CLIENT, waits)
@@ -191,8 +191,8 @@ def test_what_is_counted_is_bounded_and_so_is_what_is_shown() -> None:
 
 @pytest.mark.parametrize("active", [True, False])
 def test_a_check_changes_no_authority(active: bool) -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
     before = sim.gate.management.standing("deliver-p1")
     bench = Bench()
     bench.after(10**6, active=active, controller=False)

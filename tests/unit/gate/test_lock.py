@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-import worlds
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.lock import LOCK_FILE, hold_robot, root_fingerprint
+from fixtures import scenarios
 
 #: Holds a lock, says so, and keeps it until it is killed.
 HOLDER = """
@@ -315,7 +315,7 @@ def test_whoever_fills_the_queue_is_answered_by_the_queue_and_no_more(
 
 
 def test_the_fingerprint_is_the_roots() -> None:
-    root = x509.load_pem_x509_certificate((worlds.trust_folder() / "root.pem").read_bytes())
+    root = x509.load_pem_x509_certificate((scenarios.trust_folder() / "root.pem").read_bytes())
     found = root_fingerprint(root)
     assert len(found) == 16
     assert found == root_fingerprint(root)

@@ -10,7 +10,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.gate.motions import Motions
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Act, ClientRole, Ended, Kind, Mode, Order
-from unit.gate.house import GO, SCAN, Guest, House, reasons, ticket_of
+from unit.gate.demo_site import GO, SCAN, Guest, House, reasons, ticket_of
 
 
 def walking(house: House) -> tuple[Guest, int]:

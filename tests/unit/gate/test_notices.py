@@ -14,8 +14,8 @@ import pytest
 
 from authguard_r.gate.journal import COUNTS_MS, MOST_LINES, Journal
 from authguard_r.wire.messages import ClientRole, Kind
-from lanes import until
-from unit.gate.house import FORBIDDEN, SCAN, House
+from fixtures.estop_fixtures import until
+from unit.gate.demo_site import FORBIDDEN, SCAN, House
 
 
 def test_an_alert_is_a_record_an_event_and_a_line() -> None:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.core.quantities import Now
 from authguard_r.gate.checkup import Setup, checkup
 from authguard_r.gate.checkup.advice import Code, Level
 from authguard_r.gate.checkup.custody import plain_advice, stray_advice
 from authguard_r.keys.envelope import seal
+from fixtures import scenarios
 
 ME = os.geteuid()
 SAID = "correct horse battery staple"
@@ -25,7 +25,7 @@ SERVICES = ("gate-", "estimator-", "witness-", "root", "people", "site.", "machi
 @pytest.fixture
 def trust(tmp_path: Path) -> Path:
     folder = tmp_path / "trust"
-    shutil.copytree(worlds.trust_folder(), folder)
+    shutil.copytree(scenarios.trust_folder(), folder)
     return folder
 
 
@@ -34,7 +34,7 @@ def key_of(trust: Path, name: str) -> Path:
 
 
 def told(trust: Path, *, demo: bool, key: Path | None = None) -> set[str]:
-    found = checkup(Setup(demo=demo, uid=ME, trust=trust, key=key), Now(worlds.START_MS, 0))
+    found = checkup(Setup(demo=demo, uid=ME, trust=trust, key=key), Now(scenarios.START_MS, 0))
     return {Path(one.place).name for one in found if one.code is Code.KEY_PLAIN}
 
 
@@ -52,7 +52,7 @@ def test_a_sealed_key_a_services_key_and_no_key_are_not(trust: Path) -> None:
     path = key_of(trust, "operator-1")
     path.write_bytes(seal(path.read_bytes(), SAID))
     assert list(plain_advice(path)) == []
-    assert list(plain_advice(key_of(trust, f"gate-{worlds.RID}"))) == []
+    assert list(plain_advice(key_of(trust, f"gate-{scenarios.RID}"))) == []
     assert list(plain_advice(key_of(trust, "people"))) == []
     assert list(plain_advice(key_of(trust, "nobody"))) == []
 
@@ -64,6 +64,6 @@ def test_a_demonstration_says_it_once_for_all(trust: Path) -> None:
 def test_a_sealed_key_beside_the_gate_is_a_stray_too(trust: Path) -> None:
     path = key_of(trust, "operator-1")
     path.write_bytes(seal(path.read_bytes(), SAID))
-    own = key_of(trust, f"gate-{worlds.RID}")
+    own = key_of(trust, f"gate-{scenarios.RID}")
     found = {advice.place for advice in stray_advice([trust], own=own, uid=ME)}
     assert str(path) in found

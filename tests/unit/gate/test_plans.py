@@ -11,7 +11,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import b64
 from authguard_r.core.identifiers import Identifier
@@ -24,9 +23,10 @@ from authguard_r.shapes import Disclosure
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.frames import raw_frame
 from authguard_r.wire.messages import Act, ClientRole, Evaluate, Kind, Mode, Observe, Order, Propose
-from unit.gate.house import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
+from fixtures import scenarios
+from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
-COLLECT = (worlds.HOSPITAL / "replies" / "01-collect.json").read_bytes()
+COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 LONG = b"\n" * 20_000
 
 
@@ -269,7 +269,7 @@ def test_a_plan_that_cannot_be_read_is_kept_sealed_in_shadow_alone(mode: Mode) -
 
 @pytest.mark.parametrize("wanted", OnRefusal)
 def test_what_is_done_after_a_refusal_is_what_the_mission_says(wanted: OnRefusal) -> None:
-    with House(mission=worlds.mission(on_refusal=str(wanted))) as house:
+    with House(mission=scenarios.mission(on_refusal=str(wanted))) as house:
         client = planner(house)
         house.activate()
         answer = house.propose(client, FORBIDDEN)
@@ -362,7 +362,7 @@ def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
         line = house.client(house._guests[-1]).line
         other = Client(line, role=ClientRole.PLANNER, name=Identifier("u99999.p"), uid=99_999)
         plans.observe(other, "user", "Pharmacy")  # another user's are noted all the same
-        assert plans._contexts[other.name].influences(worlds.navigate("dock", "pharmacy"))
+        assert plans._contexts[other.name].influences(scenarios.navigate("dock", "pharmacy"))
 
 
 def test_a_first_text_that_is_refused_takes_nobodys_place() -> None:

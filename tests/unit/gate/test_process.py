@@ -15,8 +15,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import lanes
-import worlds
 from authguard_r.assembly import folder_signer, gate_name
 from authguard_r.audit.record import read_record
 from authguard_r.client import GateClient
@@ -36,7 +34,8 @@ from authguard_r.site.source import convert
 from authguard_r.store.sqlite import read_rows
 from authguard_r.times import SIMULATED
 from authguard_r.wire.messages import ClientRole, Mode
-from unit.gate.house import GO, PATIENCE_S, SCAN
+from fixtures import estop_fixtures, scenarios
+from unit.gate.demo_site import GO, PATIENCE_S, SCAN
 
 
 @pytest.fixture
@@ -49,15 +48,15 @@ def journal() -> Iterator[int]:
 
 @pytest.fixture
 def files() -> LaneFiles:
-    return lanes.files()
+    return estop_fixtures.files()
 
 
 def robot() -> SymbolicRobot:
     return SymbolicRobot(
-        worlds.site(),
-        worlds.RID,
-        worlds.world(),
-        estimator=folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}"),
+        scenarios.site(),
+        scenarios.RID,
+        scenarios.world(),
+        estimator=folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}"),
         start_ms=time.time_ns() // 1_000_000,
     )
 
@@ -65,12 +64,12 @@ def robot() -> SymbolicRobot:
 def parts(files: LaneFiles, journal: int, **changes: Any) -> Parts:
     made = Parts(
         run=files.run,
-        trust=read_trust(worlds.trust_folder()),
-        signer=folder_signer(worlds.trust_folder(), gate_name(worlds.RID)),
-        site=worlds.site(),
-        binding=worlds.binding(),
-        safety=default_safety(worlds.site(), worlds.RID),
-        config=lanes.config(),
+        trust=read_trust(scenarios.trust_folder()),
+        signer=folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID)),
+        site=scenarios.site(),
+        binding=scenarios.binding(),
+        safety=default_safety(scenarios.site(), scenarios.RID),
+        config=estop_fixtures.config(),
         store=files.run / "robot.db",
         lane=None,
         journal=journal,
@@ -117,9 +116,9 @@ def client(told: Rendezvous, role: ClientRole, **more: Any) -> GateClient:
 
 def activate(told: Rendezvous) -> dict[str, Any]:
     now = Now(time.time_ns() // 1_000_000, 0)
-    drafted = convert(worlds.draft(), Draft, where="mission")
-    mission = compile_draft(drafted, worlds.site(), now=now, nonce=b64(os.urandom(16)))
-    signer = folder_signer(worlds.trust_folder(), "operator-1")
+    drafted = convert(scenarios.draft(), Draft, where="mission")
+    mission = compile_draft(drafted, scenarios.site(), now=now, nonce=b64(os.urandom(16)))
+    signer = folder_signer(scenarios.trust_folder(), "operator-1")
     with client(told, ClientRole.OPERATOR) as operator:
         return operator.activate(sign_object(mission, Tag.MISSION, signer))
 
@@ -161,18 +160,20 @@ def test_a_gate_says_where_it_is_and_leaves_nothing_behind(files: LaneFiles, jou
     beside = made.store.with_name("robot.db.gate")
 
     def work(told: Rendezvous) -> None:
-        assert told == Rendezvous(socket=str(files.run / SOCKET), pid=os.getpid(), robot=worlds.RID)
+        assert told == Rendezvous(
+            socket=str(files.run / SOCKET), pid=os.getpid(), robot=scenarios.RID
+        )
         assert msgspec.json.decode(beside.read_bytes(), type=Rendezvous) == told
         assert (files.run / SOCKET).stat().st_mode & 0o777 == 0o660
         with pytest.raises(EnvironmentFault, match="running already"):
-            hold_robot(worlds.RID, root_fingerprint(made.trust.root), run=files.run)
+            hold_robot(scenarios.RID, root_fingerprint(made.trust.root), run=files.run)
         with client(told, ClientRole.AUDITOR) as auditor:
             assert auditor.status()["mode"] == "enforce"
 
     served(made, work)
     assert not beside.exists()
     assert not (files.run / SOCKET).exists()
-    hold_robot(worlds.RID, root_fingerprint(made.trust.root), run=files.run).release()
+    hold_robot(scenarios.RID, root_fingerprint(made.trust.root), run=files.run).release()
 
 
 def test_a_gate_holds_its_key_and_lets_those_go_who_ask_for_its_name(
@@ -187,15 +188,15 @@ def test_a_gate_holds_its_key_and_lets_those_go_who_ask_for_its_name(
 
     def work(_: Rendezvous) -> None:
         with pytest.raises(EnvironmentFault, match="with this key is running already"):
-            hold_robot(worlds.OTHER, "b" * 16, run=tmp_path, key=key)
+            hold_robot(scenarios.OTHER, "b" * 16, run=tmp_path, key=key)
         for _ in range(200):  # more than its queue holds: it answers meanwhile
             with pytest.raises(EnvironmentFault) as refused:
-                hold_robot(worlds.RID, root, run=tmp_path)
+                hold_robot(scenarios.RID, root, run=tmp_path)
             told.append(refused.value.message)
 
     served(made, work)
     assert {f"pid {os.getpid()}" in message for message in told} == {True}
-    hold_robot(worlds.OTHER, "b" * 16, run=tmp_path, key=key).release()
+    hold_robot(scenarios.OTHER, "b" * 16, run=tmp_path, key=key).release()
 
 
 def test_a_simulated_robot_walks_in_the_gates_own_time(files: LaneFiles, journal: int) -> None:
@@ -241,7 +242,9 @@ def test_a_clean_end_stops_what_moves_and_the_next_start_finds_the_mission_activ
 def test_a_shadow_gate_releases_nothing_and_marks_every_record(
     files: LaneFiles, journal: int
 ) -> None:
-    made = parts(files, journal, config=msgspec.structs.replace(lanes.config(), mode=Mode.SHADOW))
+    made = parts(
+        files, journal, config=msgspec.structs.replace(estop_fixtures.config(), mode=Mode.SHADOW)
+    )
 
     def work(told: Rendezvous) -> None:
         activate(told)
@@ -260,7 +263,7 @@ def test_a_simulated_robot_of_a_shadow_gate_stands_still_while_its_time_passes(
 ) -> None:
     here = robot()
     start, began_ms = here.state, here.mono_ms()
-    config = msgspec.structs.replace(lanes.config(), mode=Mode.SHADOW)
+    config = msgspec.structs.replace(estop_fixtures.config(), mode=Mode.SHADOW)
     made = parts(files, journal, config=config, simulated=here)
 
     def work(told: Rendezvous) -> None:
@@ -269,7 +272,7 @@ def test_a_simulated_robot_of_a_shadow_gate_stands_still_while_its_time_passes(
             (step,) = planner.propose(GO)["steps"]
             assert step["execution"]["outcome"] == "succeeded"  # as is assumed
         before = here.mono_ms()
-        lanes.until(lambda: here.mono_ms() > before + 200, "idle time")
+        estop_fixtures.until(lambda: here.mono_ms() > before + 200, "idle time")
 
     served(made, work)
     assert here.mono_ms() > began_ms
@@ -287,7 +290,7 @@ def test_a_stop_lane_is_started_with_the_gate_heard_and_ended_with_it(
         with GateClient.connect(files.run / "stop.sock", role=ClientRole.OPERATOR) as hand:
             hand.stop("smoke")
         with client(told, ClientRole.AUDITOR) as auditor:
-            lanes.until(lambda: auditor.status()["stops"] == 1, "the stop's word")
+            estop_fixtures.until(lambda: auditor.status()["stops"] == 1, "the stop's word")
 
     served(made, work)
     (stop,) = records(made, "stop")
@@ -303,7 +306,7 @@ def test_a_socket_that_cannot_be_is_a_fault_and_nothing_is_held(
     made = parts(files, journal, run=long)
     with pytest.raises(EnvironmentFault, match="cannot listen"):
         served(made, lambda _: None)
-    hold_robot(worlds.RID, root_fingerprint(made.trust.root), run=long).release()
+    hold_robot(scenarios.RID, root_fingerprint(made.trust.root), run=long).release()
     served(parts(files, journal), lambda _: None)  # the store is free too
 
 
@@ -311,7 +314,7 @@ def test_a_second_gate_for_the_same_robot_is_refused_before_its_store_is_touched
     files: LaneFiles, journal: int
 ) -> None:
     made = parts(files, journal)
-    held = hold_robot(worlds.RID, root_fingerprint(made.trust.root), run=files.run)
+    held = hold_robot(scenarios.RID, root_fingerprint(made.trust.root), run=files.run)
     try:
         with pytest.raises(EnvironmentFault, match="running already"):
             served(made, lambda _: None)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.core.encoding import Tag, b64, digest, encode_fast
 from authguard_r.core.errors import RefusedError, StoreError
@@ -18,7 +17,8 @@ from authguard_r.ledger import Act
 from authguard_r.report import Refusal, Report
 from authguard_r.shapes import Disclosure, report_json
 from authguard_r.wire.messages import ClientRole
-from unit.gate.house import GO, SCAN, House
+from fixtures import scenarios
+from unit.gate.demo_site import GO, SCAN, House
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))
 CLIENT, OTHER = Identifier("u1.planner"), Identifier("u2.planner")
@@ -62,9 +62,9 @@ def test_what_is_told_again_is_what_was_told() -> None:
 
 
 def test_records_that_are_damaged_are_not_told_again() -> None:
-    sim = worlds.simulation()
-    sim.gate.management.activate(worlds.token())
-    worlds.propose(sim, worlds.navigate("dock", "office-1"))
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    scenarios.propose(sim, scenarios.navigate("dock", "office-1"))
     row = sim.gate.ledger.store.rows()[-1]
     record, sealed = read_record(row.record, where=""), read_sealed(row.sealed, where="")
     told = retold(record, sealed, None, {})
@@ -90,7 +90,7 @@ def test_a_step_whose_end_nobody_recorded_is_told_without_one() -> None:
 
 
 def test_what_is_held_in_a_turn_that_fails_is_not_held() -> None:
-    ledger = worlds.simulation().gate.ledger
+    ledger = scenarios.simulation().gate.ledger
     keeper = Keeper(CLIENT, "k", Kept(evidence=ONE, planned=1, steps=()))
 
     def job(act: Act) -> None:
@@ -103,7 +103,7 @@ def test_what_is_held_in_a_turn_that_fails_is_not_held() -> None:
 
 
 def test_a_record_that_is_gone_is_a_fault_of_the_store() -> None:
-    ledger = worlds.simulation().gate.ledger
+    ledger = scenarios.simulation().gate.ledger
     held = Kept(evidence=ONE, planned=1, steps=((10**6, -1),))
     ledger.run(lambda act: act.put("proposal", f"{CLIENT} k", encode_fast(held)))
     with pytest.raises(StoreError) as fault:
@@ -112,7 +112,7 @@ def test_a_record_that_is_gone_is_a_fault_of_the_store() -> None:
 
 
 def test_what_was_refused_is_remembered_for_a_while_and_no_more_than_that() -> None:
-    proposals = Proposals(worlds.simulation().gate.ledger, Disclosure.FULL)
+    proposals = Proposals(scenarios.simulation().gate.ledger, Disclosure.FULL)
     for number in range(_MOST_KNOWN + 1):
         proposals.remember(CLIENT, f"k{number}", answered(REFUSED))
     assert proposals.recall(CLIENT, "k0", TWO) is None
@@ -122,7 +122,7 @@ def test_what_was_refused_is_remembered_for_a_while_and_no_more_than_that() -> N
 
 
 def test_a_held_answer_that_is_damaged_is_a_fault_of_the_store_not_a_new_proposal() -> None:
-    ledger = worlds.simulation().gate.ledger
+    ledger = scenarios.simulation().gate.ledger
     ledger.run(lambda act: act.put("proposal", f"{CLIENT} k", b"{}"))
     with pytest.raises(StoreError) as fault:
         Proposals(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE)

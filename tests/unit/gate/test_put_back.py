@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.anchoring.counter import FileCounter
 from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import simulate
@@ -24,8 +23,9 @@ from authguard_r.gate.mends import MENDS
 from authguard_r.gate.recovery import Recovery
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import Act
+from fixtures import scenarios
+from fixtures.small_witness import SmallWitness, begin, policy
 from unit.gate.robots import config
-from witnesses import SmallWitness, begin, policy
 
 
 def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:
@@ -72,7 +72,7 @@ def test_the_doctor_says_what_witnesses_are_worth(tmp_path: Path) -> None:
     assert levels(2, away, here) == [Level.WARNING, Level.OK]
     assert levels(2, away, away, here) == [Level.OK]
     setup = Setup(demo=False, uid=0, store=store, config=config(witnesses=(away,), quorum=1))
-    (found,) = (a for a in checkup(setup, worlds.NOW) if a.code is Code.COUNTER)
+    (found,) = (a for a in checkup(setup, scenarios.NOW) if a.code is Code.COUNTER)
     assert found.level is Level.OK
 
 
@@ -80,7 +80,9 @@ def test_the_doctor_says_where_the_newest_checkpoint_is(tmp_path: Path) -> None:
     store = tmp_path / "robot.db"
 
     def said() -> tuple[Level, str]:
-        found = {a.code: a for a in store_advice(store, worlds.NOW, uid=os.geteuid(), deep=False)}
+        found = {
+            a.code: a for a in store_advice(store, scenarios.NOW, uid=os.geteuid(), deep=False)
+        }
         return found[Code.ANCHOR].level, found[Code.ANCHOR].message
 
     with SmallWitness("w") as witness:
@@ -98,7 +100,7 @@ def test_the_doctor_says_where_the_newest_checkpoint_is(tmp_path: Path) -> None:
 
 def test_the_doctor_looks_at_the_counter_together_with_the_store(tmp_path: Path) -> None:
     setup = Setup(demo=False, uid=0, store=tmp_path / "robot.db")
-    now = Now(worlds.START_MS, 0)
+    now = Now(scenarios.START_MS, 0)
     assert Code.COUNTER in {advice.code for advice in checkup(setup, now)}
     without = replace(setup, store=None)
     assert Code.COUNTER not in {advice.code for advice in checkup(without, now)}
@@ -106,11 +108,11 @@ def test_the_doctor_looks_at_the_counter_together_with_the_store(tmp_path: Path)
 
 def test_what_comes_first_waits_for_the_clock_and_is_asked_again(tmp_path: Path) -> None:
     sim = simulate(
-        worlds.trust_folder(),
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
-        start_ms=worlds.START_MS,
+        scenarios.trust_folder(),
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
+        start_ms=scenarios.START_MS,
         store=None,
         counter=FileCounter(tmp_path / "counter"),
     )
@@ -133,4 +135,4 @@ def test_what_comes_first_and_is_refused_lets_no_gate_start() -> None:
         raise RefusedError("older", reason=Reason.SUPERSEDED)
 
     with pytest.raises(RefusedError):
-        Recovery(worlds.simulation().gate.management, first=first).begin()
+        Recovery(scenarios.simulation().gate.management, first=first).begin()

@@ -18,7 +18,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.reader import (
@@ -30,15 +29,16 @@ from authguard_r.gate.reader import (
     read_plan,
 )
 from authguard_r.normalize import Binder, Dialect, Plan, normalize
-from unit.gate.house import PATIENCE_S, SCAN
+from fixtures import scenarios
+from unit.gate.demo_site import PATIENCE_S, SCAN
 
-REPLIES = sorted((worlds.HOSPITAL / "replies").glob("*.json"))
+REPLIES = sorted((scenarios.HOSPITAL / "replies").glob("*.json"))
 LONG = b"\n" * 60_000
 Read = Plan | AuthGuardError
 
 
 def binder() -> Binder:
-    return Binder(worlds.site(), worlds.binding())
+    return Binder(scenarios.site(), scenarios.binding())
 
 
 def inline(data: bytes, dialect: Dialect = Dialect.AUTO) -> Read:
@@ -59,7 +59,7 @@ class Desk:
 
     def __init__(self, **bounds: Any) -> None:
         bounds.setdefault("within_s", PATIENCE_S)
-        self.reader = Reader(worlds.site(), worlds.binding(), **bounds)
+        self.reader = Reader(scenarios.site(), scenarios.binding(), **bounds)
         self.taken: list[Read] = []
         self.users = 0
 
@@ -340,7 +340,7 @@ def test_the_process_reads_until_its_gate_is_gone(interrupts: None) -> None:
 
     thread = threading.Thread(target=gate)
     thread.start()
-    _serve(theirs, worlds.site(), worlds.binding(), most)
+    _serve(theirs, scenarios.site(), scenarios.binding(), most)
     thread.join(PATIENCE_S)
     assert got[0] == b""
     plan, fault = (msgspec.json.decode(said) for said in got[1:])

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.client.controller import Channel
 from authguard_r.client.proof import prove
 from authguard_r.core.action import Action, ActionMeta
@@ -29,7 +28,8 @@ from authguard_r.gate.controller import (
 )
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import PROTOCOL, Begun, ClientRole, Ended, Halt, Hello, Kind, Stood
-from unit.gate.house import GO, SCAN, HandClock, House, reasons
+from fixtures import scenarios
+from unit.gate.demo_site import GO, SCAN, HandClock, House, reasons
 from unit.sim.desks import LIFE, NONCE, framed, greeting, welcome
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))
@@ -77,7 +77,7 @@ class Bench:
         return asked
 
     def dispatch(self, ticket: Digest = ONE, **more: Any) -> Any:
-        return self.remote.dispatch(worlds.navigate("dock", "pharmacy"), lease(ticket, **more))
+        return self.remote.dispatch(scenarios.navigate("dock", "pharmacy"), lease(ticket, **more))
 
     def stops(self) -> int:
         """Return the last stop that a dispatch says the gate has heard of."""
@@ -117,7 +117,7 @@ def test_a_dispatch_says_how_long_the_lease_lasts_from_now() -> None:
 
 def test_equal_effects_are_equal_bytes_whoever_proposed_them_in_whatever_words() -> None:
     bench = Bench()
-    plain = worlds.navigate("dock", "pharmacy")
+    plain = scenarios.navigate("dock", "pharmacy")
     for planner, evidence in (("u1.a", ONE), ("u2.b", TWO)):
         meta = ActionMeta(planner=planner, timestamp="2026-01-01T00:00:00Z", evidence=evidence)
         labels = {"destination": Label.CAMERA}
@@ -300,7 +300,7 @@ def test_a_lane_that_is_gone_is_nobody_to_ask() -> None:
 def test_a_stream_lasts_no_longer_than_was_asked_for(lasts: int, until: int, expected: int) -> None:
     action = Action(type="drive", tool="base", params={"linear_mm_s": 1, DURATION: lasts})
     assert longest_ms(action, lease(until=until), 0) == expected
-    other = worlds.navigate("dock", "pharmacy")
+    other = scenarios.navigate("dock", "pharmacy")
     assert longest_ms(other, lease(until=until), 0) == until
 
 
@@ -327,7 +327,7 @@ def test_a_controller_that_was_started_anew_begins_nothing_by_its_old_count() ->
         house.controller.leave()
         house.connect_robot()
         desk = house.desk
-        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=worlds.NOW), 0)
+        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0)
         desk.handle(Channel.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)  # its word is lost
         house.stop(ClientRole.PLANNER, 1, stops=10, life=before)
         here = house.place
@@ -343,7 +343,7 @@ def test_what_was_decided_before_an_operators_stop_never_starts(first: str) -> N
         house.activate()
         desk = house.desk
         assert desk is not None
-        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=worlds.NOW), 0)
+        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0)
         # the lane's stop is carried out; its word on whose it was is still on the way
         said = desk.handle(Channel.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
         here = house.place
@@ -366,7 +366,7 @@ def test_a_planners_stop_holds_nobody_up_for_longer_than_its_word_takes() -> Non
         house.activate()
         desk = house.desk
         assert desk is not None
-        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=worlds.NOW), 0)
+        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0)
         said = desk.handle(Channel.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
         house._deliver(tuple(sent for sent in said if sent.channel is Channel.GATE))
         house.stop(ClientRole.PLANNER, 1, stops=1)
@@ -443,7 +443,7 @@ def test_a_controller_that_ignores_stops_does_not_hold_up_the_gate() -> None:
 
 def test_in_shadow_nothing_is_released_to_anybody_and_success_is_assumed() -> None:
     shadow = ShadowController()
-    flight = shadow.dispatch(worlds.navigate("dock", "pharmacy"), lease())
+    flight = shadow.dispatch(scenarios.navigate("dock", "pharmacy"), lease())
     shadow.stop()
     assert (flight.outcome(), flight.used()) == (Outcome.SUCCEEDED, Spend())
     assert msgspec.structs.asdict(lease())["ticket"] == ONE

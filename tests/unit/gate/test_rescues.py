@@ -11,8 +11,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import emergencies
-import worlds
 from authguard_r.audit.record import Record, read_record
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast
@@ -31,7 +29,8 @@ from authguard_r.rescue_log import Kept
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Emergency, Kind, Order
-from unit.gate.house import GO, STEP_MS, Guest, HandClock, House, Refused
+from fixtures import emergency_policies, scenarios
+from unit.gate.demo_site import GO, STEP_MS, Guest, HandClock, House, Refused
 
 HOUR_MS = 3_600_000
 
@@ -70,18 +69,25 @@ class Ward(House):
         policy: EmergencyPolicy | None = None,
         **more: Any,
     ) -> None:
-        self._policy = policy or emergencies.policy(*capabilities)
+        self._policy = policy or emergency_policies.policy(*capabilities)
         self._path = journal
         super().__init__(
-            **{"site": emergencies.site(), "trust": emergencies.trust_folder(), **more}
+            **{
+                "site": emergency_policies.site(),
+                "trust": emergency_policies.trust_folder(),
+                **more,
+            }
         )
 
     def _assemble(self, mode: Any) -> None:
         super()._assemble(mode)
         path = self._path
-        self.spool = None if path is None else EmergencyJournal(path, robot=worlds.RID)
+        self.spool = None if path is None else EmergencyJournal(path, robot=scenarios.RID)
         self.road = open_road(
-            self.service, emergencies.opened(self._policy), self.spool, controller=self.remote
+            self.service,
+            emergency_policies.opened(self._policy),
+            self.spool,
+            controller=self.remote,
         )
 
     def __exit__(self, *more: object) -> None:
@@ -136,8 +142,8 @@ def test_a_real_emergency_without_a_mission_is_carried_out_and_recorded() -> Non
 def dead(tmp_path: Path, name: str) -> bytes:
     """Return the people authority's next list, with a principal on it."""
     folder = tmp_path / "auth"
-    shutil.copytree(emergencies.trust_folder(), folder)
-    begin = datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    shutil.copytree(emergency_policies.trust_folder(), folder)
+    begin = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
     done = revoke(folder, principal=name, serial=None, now=begin, days=30)
     ((_, found),) = done.lists.items()
     return found.signed
@@ -166,12 +172,16 @@ def test_an_emergency_under_way_stops_when_its_signer_is_revoked(tmp_path: Path)
 def test_dates_that_passed_say_nothing_against_a_policy_that_was_opened_in_time() -> None:
     with Ward(at="station-103") as house:
         later = Now(
-            worlds.START_MS + 400 * emergencies.DAY_MS, 0
+            scenarios.START_MS + 400 * emergency_policies.DAY_MS, 0
         )  # certificates and lists are over
         opened, trust = house.road.opened, house.gate.trust
         with pytest.raises(AuthenticityError):
             open_emergency(
-                opened.token, verifier=trust, now=later, site=emergencies.site(), robot=worlds.RID
+                opened.token,
+                verifier=trust,
+                now=later,
+                site=emergency_policies.site(),
+                robot=scenarios.RID,
             )
         require_signer(opened, verifier=trust)
 
@@ -222,8 +232,10 @@ def worlds_mission() -> Any:
     from authguard_r.core.encoding import b64
     from authguard_r.site.source import convert
 
-    drafted = convert(worlds.draft(), Draft, where="mission")
-    return compile_draft(drafted, emergencies.site(), now=worlds.NOW, nonce=b64(bytes(16)))
+    drafted = convert(scenarios.draft(), Draft, where="mission")
+    return compile_draft(
+        drafted, emergency_policies.site(), now=scenarios.NOW, nonce=b64(bytes(16))
+    )
 
 
 def test_a_real_emergency_stops_what_runs_first_and_nothing_is_proposed_meanwhile() -> None:
@@ -248,8 +260,10 @@ def test_a_real_emergency_stops_what_runs_first_and_nothing_is_proposed_meanwhil
 
 
 def test_a_guard_that_ends_while_the_robot_moves_stops_it() -> None:
-    near = emergencies.guard("human_distance_mm", "ge", 2_000)
-    with Ward({**emergencies.GO_SAFE, "guards": [near]}, at="station-103", speed_up=1) as house:
+    near = emergency_policies.guard("human_distance_mm", "ge", 2_000)
+    with Ward(
+        {**emergency_policies.GO_SAFE, "guards": [near]}, at="station-103", speed_up=1
+    ) as house:
         guest = planner(house)
         number = house.begin_call(guest, "go-safe")
         house.advance(1_000)
@@ -273,6 +287,7 @@ def test_stale_state_is_no_emergency() -> None:
         ]
 
 
+@pytest.mark.complete
 def test_the_rate_is_held_to() -> None:
     with Ward(at="dock") as house:
         guest = planner(house)
@@ -304,7 +319,7 @@ def test_a_key_that_is_not_answered_is_busy() -> None:
 
 
 def test_the_second_gate_has_its_own_word() -> None:
-    fast = {**emergencies.GO_SAFE, "params": {"speed_mm_s": 1_500}}
+    fast = {**emergency_policies.GO_SAFE, "params": {"speed_mm_s": 1_500}}
     with Ward(fast, at="station-103") as house:
         house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
         house.advance(STEP_MS)
@@ -329,8 +344,8 @@ def test_a_stop_stands_over_a_restart_unless_the_capability_says_otherwise() -> 
     with Ward(store=inner, clock=clock) as house:
         house.stop(ClientRole.OPERATOR, 1)
         house.crashes = True
-    after = {**emergencies.GO_SAFE, "id": "after", "after_stop": True}
-    with Ward(emergencies.GO_SAFE, after, store=inner, clock=clock) as house:
+    after = {**emergency_policies.GO_SAFE, "id": "after", "after_stop": True}
+    with Ward(emergency_policies.GO_SAFE, after, store=inner, clock=clock) as house:
         guest = planner(house)
         assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
         assert house.call(guest, "after")["outcome"] == "accept"
@@ -356,7 +371,7 @@ class _Kept:
 
 
 def test_the_gate_itself_calls_once_when_the_guards_begin_to_hold() -> None:
-    holding = {**emergencies.LET_GO, "without": ["mission"]}
+    holding = {**emergency_policies.LET_GO, "without": ["mission"]}
     with Ward(holding) as house:
         house.advance(500)
         assert house.told == []
@@ -372,8 +387,8 @@ def test_the_gate_itself_calls_once_when_the_guards_begin_to_hold() -> None:
 
 
 def test_what_needs_a_mission_or_a_clock_does_not_work_without() -> None:
-    needy = {**emergencies.GO_SAFE, "id": "needy", "without": []}
-    with Ward(emergencies.GO_SAFE, needy) as house:
+    needy = {**emergency_policies.GO_SAFE, "id": "needy", "without": []}
+    with Ward(emergency_policies.GO_SAFE, needy) as house:
         guest = planner(house)
         assert house.call(guest, "needy")["reasons"] == ["NO_ACTIVE_MISSION"]
         house.clock.wrong_ms = -HOUR_MS
@@ -415,7 +430,7 @@ def test_an_emergency_with_a_dead_store_goes_into_the_journal_and_then_into_the_
 
 def test_what_needs_the_store_does_not_work_without(tmp_path: Path) -> None:
     disk = Disk()
-    needy = {**emergencies.GO_SAFE, "without": ["mission"]}
+    needy = {**emergency_policies.GO_SAFE, "without": ["mission"]}
     with Ward(needy, journal=tmp_path / "journal", store=disk) as house:
         guest = planner(house)
         disk.dead = True
@@ -477,7 +492,7 @@ def test_a_journaled_emergency_whose_gate_died_is_in_the_log_once(tmp_path: Path
 
 def test_what_did_not_fit_the_journal_is_counted_in_the_log_once(tmp_path: Path) -> None:
     disk = Disk()
-    often = {**emergencies.GO_SAFE, "per_hour": 60}
+    often = {**emergency_policies.GO_SAFE, "per_hour": 60}
     with Ward(often, journal=tmp_path / "journal", store=disk) as house:
         guest = planner(house)
         disk.dead = True
@@ -494,7 +509,7 @@ def test_what_did_not_fit_the_journal_is_counted_in_the_log_once(tmp_path: Path)
 
 def test_a_policy_is_in_the_log_once_until_it_changes() -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
-    other = emergencies.policy(version=2)
+    other = emergency_policies.policy(version=2)
     for value, known in ((None, 1), (None, 1), (other, 2)):
         with Ward(store=store, clock=clock, policy=value) as house:
             found = [r for r in house.log("emergency") if r.link.decision == "policy"]
@@ -526,8 +541,8 @@ def test_a_robot_that_does_not_stand_is_sent_nowhere() -> None:
 
 
 def test_what_was_true_before_the_robot_stood_is_asked_again() -> None:
-    near = emergencies.guard("human_distance_mm", "ge", 2_000)
-    go = {**emergencies.GO_SAFE, "guards": [near]}
+    near = emergency_policies.guard("human_distance_mm", "ge", 2_000)
+    go = {**emergency_policies.GO_SAFE, "guards": [near]}
     with Ward(go, mission=worlds_mission(), speed_up=1) as house:
         house.activate()
         house.begin(planner(house), GO)
@@ -542,8 +557,8 @@ def test_what_was_true_before_the_robot_stood_is_asked_again() -> None:
 
 
 def test_a_gate_that_ends_begins_nothing_and_does_not_call_by_itself() -> None:
-    always = {**emergencies.LET_GO, "guards": [emergencies.TRUE]}
-    with Ward(emergencies.GO_SAFE, {**always, "id": "mine"}) as house:
+    always = {**emergency_policies.LET_GO, "guards": [emergency_policies.TRUE]}
+    with Ward(emergency_policies.GO_SAFE, {**always, "id": "mine"}) as house:
         served = house.service.desk.rescues
         assert served is not None
         house.advance(500)
@@ -648,8 +663,8 @@ def plain_house(store: Store, clock: HandClock) -> House:
     return House(
         store=store,
         clock=clock,
-        site=emergencies.site(),
-        trust=emergencies.trust_folder(),
+        site=emergency_policies.site(),
+        trust=emergency_policies.trust_folder(),
         mission=worlds_mission(),
     )
 
@@ -678,7 +693,10 @@ def test_a_stop_that_was_recorded_while_the_gate_was_off_stands() -> None:
     assert stands(store, clock)
 
 
-_SITE: dict[str, Any] = {"site": emergencies.site(), "trust": emergencies.trust_folder()}
+_SITE: dict[str, Any] = {
+    "site": emergency_policies.site(),
+    "trust": emergency_policies.trust_folder(),
+}
 
 
 @pytest.mark.parametrize("goes_on", ["resume", "activate", "suspend"])
@@ -733,7 +751,7 @@ def test_uses_of_before_a_power_cut_count_for_an_hour_from_now() -> None:
         clock.ms += 5_000
         house.gate.ledger.run(lambda act: act.put("emergency", "state", used))
         house.crashes = True
-    twice = {**emergencies.GO_SAFE, "per_hour": 2}
+    twice = {**emergency_policies.GO_SAFE, "per_hour": 2}
     with Ward(twice, store=store, clock=clock, at="station-103") as house:
         assert house.road.log.uses("go-safe") == (1, 5_000)  # none is still to come, none is gone
         assert house.call(planner(house), "go-safe")["reasons"] == ["RATE_EXCEEDED"]
@@ -759,7 +777,7 @@ def test_what_the_journal_had_is_told_once_when_the_store_comes_back_at_the_end(
 
 def always(**changes: Any) -> dict[str, Any]:
     """Return a capability of the gate's own whose guards always hold."""
-    return {**emergencies.GO_SAFE, "id": "mine", "callers": ["gate", "operator"], **changes}
+    return {**emergency_policies.GO_SAFE, "id": "mine", "callers": ["gate", "operator"], **changes}
 
 
 def test_what_the_gate_could_not_begin_is_begun_when_its_controller_is_there() -> None:

@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 
-import sealed
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.record import Entry, append
@@ -23,6 +21,7 @@ from authguard_r.gate.config import default_config
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.retirement import EVERY_MS, STUCK, Retirement
 from authguard_r.wire.messages import Mode
+from fixtures import scenarios, sealed_logs
 
 REGION, MINUTE_MS = DataClass.REGION, 60_000
 
@@ -34,7 +33,7 @@ class Watched:
         self.sim = sim
         self.told: list[dict[str, Any]] = []
         self.ended = 0
-        config = default_config(worlds.RID, (), Mode.ENFORCE)
+        config = default_config(scenarios.RID, (), Mode.ENFORCE)
         self.liveness = Liveness(
             config, sim.gate.ledger.mono_ms, lambda what, more: self.told.append({what: more})
         )
@@ -61,15 +60,15 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def watched(path: Path) -> Iterator[Watched]:
-    rules = (sealed.rule(REGION, most_ms=MINUTE_MS),)
-    with sealed.sealing(path, sealed.policy(retention=rules)) as sim:
+    rules = (sealed_logs.rule(REGION, most_ms=MINUTE_MS),)
+    with sealed_logs.sealing(path, sealed_logs.policy(retention=rules)) as sim:
         yield Watched(sim)
 
 
 def ripe(watched: Watched) -> str:
     """Let a mission be over, and its time too; return its id."""
-    mission = sealed.active(watched.sim)
-    watched.sim.gate.management.command(sealed.command(watched.sim, Verb.REVOKE, mission))
+    mission = sealed_logs.active(watched.sim)
+    watched.sim.gate.management.command(sealed_logs.command(watched.sim, Verb.REVOKE, mission))
     over_ms = to_ms(mission.expiry, where="expiry") + MINUTE_MS
     watched.sim.robot.elapsed_ms += over_ms - watched.sim.gate.ledger.now().utc_ms
     return mission.mid

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client.controller import Channel
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag
@@ -33,7 +32,8 @@ from authguard_r.wire.messages import (
     Proof,
     Propose,
 )
-from unit.gate.house import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
+from fixtures import scenarios
+from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
 from unit.sim.desks import NONCE
 
 
@@ -49,9 +49,9 @@ def test_who_asks_with_a_nonce_gets_a_proof_over_it() -> None:
             tag=Tag.HANDSHAKE,
             roles=frozenset({"gate"}),
             verifier=read_trust(house.folder),
-            now=worlds.NOW,
+            now=scenarios.NOW,
         )
-        assert proof == Proof(robot=worlds.RID, role=ClientRole.PLANNER, nonce=NONCE)
+        assert proof == Proof(robot=scenarios.RID, role=ClientRole.PLANNER, nonce=NONCE)
         assert signer.role == "gate"
         assert told["site"] == house.gate.facts.digest
 
@@ -64,7 +64,7 @@ def test_more_connections_of_one_user_than_there_may_be_are_refused_and_others_s
         third = house.knock(ClientRole.AUDITOR)
         assert third.bodies(Kind.ERROR)[0]["code"] == "BUSY"
         for client in (one, two):
-            assert client.ask(Kind.STATUS)["robot"] == worlds.RID
+            assert client.ask(Kind.STATUS)["robot"] == scenarios.RID
 
 
 def test_a_fault_of_ours_in_a_turn_costs_that_client_alone() -> None:
@@ -74,7 +74,7 @@ def test_a_fault_of_ours_in_a_turn_costs_that_client_alone() -> None:
         house.do(lambda: house.service._later(first, lambda: 1 // 0))
         one.pull()
         assert first.gone
-        assert two.ask(Kind.STATUS)["robot"] == worlds.RID
+        assert two.ask(Kind.STATUS)["robot"] == scenarios.RID
         reasons_ = [reason for r in house.log("refusal") for reason in r.open["reasons"]]
         assert "INTERNAL_FAULT" in reasons_
 

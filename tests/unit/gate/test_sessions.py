@@ -12,12 +12,13 @@ from typing import Any
 
 import pytest
 
-import streams
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.gate.sessions import FRAME_S, HELLO_S, READ_S, Session
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Kind, Nothing, Observe
-from halls import Door, Noted, Timers, enter, hello, settle
+from fixtures import frame_streams
+from fixtures.cases import case
+from fixtures.gate_fixtures import Door, Noted, Timers, enter, hello, settle
 
 SEEN = frame(Kind.OBSERVE, 1, Observe(channel="camera", text="a notice"))
 
@@ -65,7 +66,7 @@ async def test_a_hello_and_a_request_in_the_same_bytes_are_as_good_as_apart() ->
     await settle()
 
 
-@pytest.mark.parametrize("vector", list(streams.hellos()), ids=lambda vector: vector["name"])
+@pytest.mark.parametrize("vector", list(frame_streams.hellos()), ids=lambda vector: vector["name"])
 def test_every_first_message_is_answered_as_published(vector: dict[str, Any]) -> None:
     async def run() -> None:
         hall = Noted()
@@ -86,32 +87,34 @@ def test_every_first_message_is_answered_as_published(vector: dict[str, Any]) ->
     asyncio.run(run())
 
 
-@pytest.mark.parametrize(
-    "vector",
-    [v for v in streams.streams() if v["role"] in {None, "planner", "auditor", "operator"}],
-    ids=lambda vector: vector["name"],
-)
-def test_every_stream_is_handed_on_or_ended_as_published(vector: dict[str, Any]) -> None:
-    async def run() -> None:
-        hall, expect = Noted(), vector["expect"]
-        door = await enter(hall)
-        if vector["role"] is not None:
-            await door.hello(role=vector["role"])
-        await door.send(*(bytes.fromhex(chunk) for chunk in vector["chunks"]))
-        got = [{"kind": i.kind, "id": i.id, "length": len(i.body)} for _, i in hall.requests]
-        assert got == expect["frames"]
-        if "error" in expect:
-            fault = await door.fault()
-            assert (fault["code"], fault["where"]) == (expect["error"], expect["where"])
-        else:
-            assert await door.answers() == []
-            assert bool(door.timers.waiting()) is expect["unfinished"]
-        door.close()
-        await settle()
-        assert len(hall.wrong) == int("error" in expect or expect["unfinished"])
-        assert len(hall.gone) == 1
+def test_every_stream_is_handed_on_or_ended_as_published() -> None:
+    for vector in [
+        v for v in frame_streams.streams() if v["role"] in {None, "planner", "auditor", "operator"}
+    ]:
+        with case(vector["name"]):
 
-    asyncio.run(run())
+            async def run(vector: dict[str, Any]) -> None:
+                hall, expect = Noted(), vector["expect"]
+                door = await enter(hall)
+                if vector["role"] is not None:
+                    await door.hello(role=vector["role"])
+                await door.send(*(bytes.fromhex(chunk) for chunk in vector["chunks"]))
+                got = [
+                    {"kind": i.kind, "id": i.id, "length": len(i.body)} for _, i in hall.requests
+                ]
+                assert got == expect["frames"]
+                if "error" in expect:
+                    fault = await door.fault()
+                    assert (fault["code"], fault["where"]) == (expect["error"], expect["where"])
+                else:
+                    assert await door.answers() == []
+                    assert bool(door.timers.waiting()) is expect["unfinished"]
+                door.close()
+                await settle()
+                assert len(hall.wrong) == int("error" in expect or expect["unfinished"])
+                assert len(hall.gone) == 1
+
+            asyncio.run(run(vector))
 
 
 @in_loop
@@ -300,18 +303,20 @@ async def test_what_waits_may_be_taken_after_the_end() -> None:
 # ends
 
 
-@pytest.mark.parametrize("length", range(1, len(SEEN)))
-def test_half_a_message_at_the_end_is_in_the_log(length: int) -> None:
-    async def run() -> None:
-        hall = Noted()
-        door = await (await enter(hall)).hello()
-        await door.send(SEEN[:length])
-        door.close()
-        await settle()
-        assert wrong(hall) == [(hall.here[0].name, "MALFORMED", "frame")]
-        assert hall.gone == hall.here
+def test_half_a_message_at_the_end_is_in_the_log() -> None:
+    for length in range(1, len(SEEN)):
+        with case(length):
 
-    asyncio.run(run())
+            async def run(length: int) -> None:
+                hall = Noted()
+                door = await (await enter(hall)).hello()
+                await door.send(SEEN[:length])
+                door.close()
+                await settle()
+                assert wrong(hall) == [(hall.here[0].name, "MALFORMED", "frame")]
+                assert hall.gone == hall.here
+
+            asyncio.run(run(length))
 
 
 @in_loop

@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import ControllerError
@@ -17,7 +16,8 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Limit
 from authguard_r.gate.streams import MIN_GAP_MS, RECORD_MS, is_stream
 from authguard_r.wire.messages import ClientRole, Close, Kind, Sample
-from unit.gate.house import (
+from fixtures import scenarios
+from unit.gate.demo_site import (
     GO,
     Guest,
     House,
@@ -165,7 +165,7 @@ def test_without_a_known_place_no_stream_begins_and_anything_else_may() -> None:
         with pytest.raises(ControllerError) as refused:
             streams.admit(action, lease)
         assert (refused.value.reason, refused.value.where) == ("OUTSIDE_REGIONS", "params")
-        streams.admit(worlds.navigate("dock", "pharmacy"), lease)
+        streams.admit(scenarios.navigate("dock", "pharmacy"), lease)
 
 
 def test_a_stream_is_closed_after_its_duration_and_takes_no_sample_then() -> None:
@@ -352,4 +352,4 @@ def test_a_velocity_for_a_time_is_a_stream_and_nothing_else_is(
     params: dict[str, int], expected: bool
 ) -> None:
     assert is_stream(Action(type="drive", tool="base", params=params)) is expected
-    assert not is_stream(worlds.navigate("dock", "pharmacy"))
+    assert not is_stream(scenarios.navigate("dock", "pharmacy"))

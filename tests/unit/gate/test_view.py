@@ -7,17 +7,17 @@ from typing import Any
 
 import msgspec
 
-import worlds
 from authguard_r.gate.view import _PAGE_BYTES
 from authguard_r.wire.messages import ClientRole, Kind, Mode
-from unit.gate.house import FORBIDDEN, GO, SCAN, UNREADABLE, House, page
+from fixtures import scenarios
+from unit.gate.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, House, page
 
 
 def test_status_without_a_mission_says_so() -> None:
     with House(robot=False, estimator=False) as house:
         status = house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)
         assert status["mission"] is None
-        assert (status["robot"], status["mode"], status["leases"]) == (worlds.RID, "enforce", [])
+        assert (status["robot"], status["mode"], status["leases"]) == (scenarios.RID, "enforce", [])
         assert status["heard"] == {"planner_ms": None, "estimator_ms": None, "controller_ms": None}
         assert status["log"]["size"] == len(house.log())
 
@@ -53,7 +53,7 @@ def test_status_says_when_a_mission_closes() -> None:
             {
                 **msgspec.to_builtins(house.standing),
                 "status": "closing",
-                "closes_ms": worlds.START_MS,
+                "closes_ms": scenarios.START_MS,
             },
             type(house.standing),
         )

@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.gate.journal import Journal
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.notices import Notices
 from authguard_r.gate.vigil import Vigil
 from authguard_r.store.memory import MemoryStore
-from gates import until
-from restarts import copied
+from fixtures import scenarios
+from fixtures.gate_process import until
+from fixtures.restarting_gate import copied
+from fixtures.small_witness import SmallWitness, begin, policy
 from unit.gate.robots import config
-from witnesses import SmallWitness, begin, policy
 
 
 class Watched:
@@ -89,7 +89,7 @@ def test_a_store_that_was_put_back_is_told_of_at_the_start_or_as_soon_as_it_is_k
     store = sim.gate.ledger.store
     assert isinstance(store, MemoryStore)
     kept = copied(store)
-    sim.gate.management.activate(worlds.token(worlds.mission()))
+    sim.gate.management.activate(scenarios.token(scenarios.mission()))
     sim.gate.close()
     witness.stop()
     late = Watched(begin(copied(kept), policy(witness)), tmp_path / "late")

@@ -10,7 +10,6 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
-import worlds
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.quantities import Now
 from authguard_r.http.clients import ROLES, Certificates, Doorkeeper
@@ -18,22 +17,23 @@ from authguard_r.http.faults import RequestError
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, init_folder
 from authguard_r.keys.trust import read_trust
+from fixtures import scenarios
 
-LATER = Now(worlds.START_MS + 366 * 86_400_000, 0)
+LATER = Now(scenarios.START_MS + 366 * 86_400_000, 0)
 
 
 def chain(name: str, folder: Path | None = None) -> tuple[bytes, ...]:
-    path = (folder or worlds.trust_folder()) / "keys" / f"{name}.cert.pem"
+    path = (folder or scenarios.trust_folder()) / "keys" / f"{name}.cert.pem"
     found = x509.load_pem_x509_certificates(path.read_bytes())
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in found)
 
 
 def refused(
-    shown: tuple[bytes, ...], folder: Path | None = None, now: Now = worlds.NOW
+    shown: tuple[bytes, ...], folder: Path | None = None, now: Now = scenarios.NOW
 ) -> tuple[int, str]:
     """Return status and code of somebody who is not let in."""
-    root = folder or worlds.trust_folder()
-    held = Certificates(lambda: read_trust(root), worlds.RID, ROLES, lambda: now)
+    root = folder or scenarios.trust_folder()
+    held = Certificates(lambda: read_trust(root), scenarios.RID, ROLES, lambda: now)
     with pytest.raises(RequestError) as error:
         held.who(shown)
     return error.value.status, error.value.code
@@ -41,7 +41,7 @@ def refused(
 
 def test_who_is_let_in_is_named() -> None:
     held = Certificates(
-        lambda: read_trust(worlds.trust_folder()), worlds.RID, ROLES, lambda: worlds.NOW
+        lambda: read_trust(scenarios.trust_folder()), scenarios.RID, ROLES, lambda: scenarios.NOW
     )
     assert held.who(chain("operator-1")) == "operator-1"
 
@@ -63,9 +63,9 @@ def test_a_machines_certificate_does_not_ask() -> None:
 def test_an_operator_of_another_robot_does_not_ask(tmp_path: Path) -> None:
     folder = tmp_path / "trust"
     elsewhere = Member(
-        id=PrincipalId("operator-9"), role=Role.OPERATOR, robots=(worlds.OTHER,), regions=None
+        id=PrincipalId("operator-9"), role=Role.OPERATOR, robots=(scenarios.OTHER,), regions=None
     )
-    init_folder(folder, (elsewhere,), now=datetime.fromtimestamp(worlds.START_MS / 1000, UTC))
+    init_folder(folder, (elsewhere,), now=datetime.fromtimestamp(scenarios.START_MS / 1000, UTC))
     assert refused(chain("operator-9", folder), folder) == (403, "SIGNER_OUT_OF_SCOPE")
 
 

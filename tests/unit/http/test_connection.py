@@ -17,7 +17,7 @@ from uvicorn.server import ServerState
 from authguard_r.http import connection, tls
 from authguard_r.http.connection import Patient
 from authguard_r.http.tls import Secured, read_context
-from served import server_certificate, trusting
+from fixtures.decision_point import server_certificate, trusting
 
 LONG = 32 << 20
 GET = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log
 from authguard_r.core.identifiers import Identifier
@@ -24,6 +23,7 @@ from authguard_r.http.messages import Status
 from authguard_r.keys.trust import read_trust
 from authguard_r.listening import listening
 from authguard_r.wire.messages import ClientRole
+from fixtures import scenarios
 
 TOKEN = b"t" * 40
 SCOPE = {
@@ -87,9 +87,9 @@ def test_nobody_waits_for_a_turn_for_ever(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(link, "WAIT_S", 0.01)
     monkeypatch.setattr(link, "AT_ONCE", 0)
     where = GatePlace(
-        robot=worlds.RID,
+        robot=scenarios.RID,
         run=tmp_path,
-        trust=lambda: read_trust(worlds.trust_folder()),
+        trust=lambda: read_trust(scenarios.trust_folder()),
         client=Identifier("http"),
     )
     with pytest.raises(AwayError) as away:

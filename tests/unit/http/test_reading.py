@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.http.messages import Evaluation, Page
 from authguard_r.http.reading import call_of, plan_of, read_body, read_words
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.bind import Binder
+from fixtures import scenarios
 
 ASKED = b"""{"subject": {"type": "a", "id": "b"}, "resource": {"type": "robot", "id": "c"},
  "action": {"name": "navigate_to", "properties": {"destination": "Pharmacy", "speed": %s}}}"""
@@ -29,7 +29,7 @@ def test_l3_a_number_reaches_the_gate_as_it_was_written(spelled: str) -> None:
 
 
 def test_a_call_is_the_plan_that_a_planner_would_have_written() -> None:
-    binder = Binder(worlds.site(), worlds.binding())
+    binder = Binder(scenarios.site(), scenarios.binding())
     plan = call_of(read_body(ASKED % b"0.5", Evaluation).action)
     (step,) = normalize(plan, binder=binder, dialect=Dialect("json")).steps
     assert (step.action.type, step.action.destination) == ("navigate", "pharmacy")

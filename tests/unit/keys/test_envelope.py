@@ -31,7 +31,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.envelope import MAX_FILE, is_sealed, read_envelope, seal, unseal
 from authguard_r.keys.signer import open_key_file, read_keys, read_signer
-from gates import environment
+from fixtures.gate_process import environment
 from unit.keys import chains
 from unit.keys.chains import house
 

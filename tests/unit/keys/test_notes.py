@@ -37,10 +37,11 @@ from authguard_r.keys.notes import (
 from authguard_r.keys.setup import Member, init_folder
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_certificates, read_trust
+from fixtures.amount import amount
 from unit.keys import chains
 from unit.keys.chains import NOW, TODAY, key_of
 
-LAW = settings(max_examples=400, deadline=None)
+LAW = settings(max_examples=amount(80, 400), deadline=None)
 ROBOT = RobotId("courier-1")
 ORIGIN = origin_of(ROBOT)
 SAID = Checkpoint(origin=ORIGIN, size=3, root=bytes(32), chain=bytes(range(32)))

@@ -24,6 +24,7 @@ from OpenSSL import crypto
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.keys.algorithms import Algorithm, PrivateKey
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root, walk
+from fixtures.amount import amount
 from unit.keys import chains
 from unit.keys.chains import NOW, OIDS, TODAY, Held, eku, house, san, usage
 
@@ -190,6 +191,7 @@ def test_only_we_refuse(make: Callable[[], Chain]) -> None:
     assert openssl(chain) == ""
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("algorithm", Algorithm)
 def test_what_we_accept_openssl_accepts_too_over_random_chains(algorithm: Algorithm) -> None:
     """Every knob turned at random, several at once; about a tenth of the chains are good."""
@@ -202,8 +204,8 @@ def test_what_we_accept_openssl_accepts_too_over_random_chains(algorithm: Algori
     def maybe(value: Any, *others: Any) -> Any:
         return pick.choice(others) if pick.random() < 0.18 else value
 
-    accepted = 0
-    for _ in range(250):
+    accepted, rounds = 0, amount(75, 250)
+    for _ in range(rounds):
         root = chains.root(own=own("root"), end=TODAY + timedelta(days=maybe(30, -1)))
         issuer = chains.authority(
             root,
@@ -228,7 +230,7 @@ def test_what_we_accept_openssl_accepts_too_over_random_chains(algorithm: Algori
         if ours(chain):
             accepted += 1
             assert openssl(chain) == ""
-    assert 10 <= accepted <= 100
+    assert rounds // 25 <= accepted <= rounds * 2 // 5
 
 
 @pytest.mark.parametrize("algorithm", Algorithm)

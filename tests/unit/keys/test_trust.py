@@ -12,7 +12,6 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import Encoding
 
-import worlds
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -20,6 +19,7 @@ from authguard_r.core.token import Principal
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust, read_file, read_trust
+from fixtures import scenarios
 from unit.keys import chains
 from unit.keys.chains import DAY_MS, NOW, TODAY, House, eku, house, san
 
@@ -238,7 +238,7 @@ def test_a_signature_is_its_leaf_s_word() -> None:
     assert found == Principal(
         id="operator-1",
         role="operator",
-        scope=worlds.EVERYWHERE,
+        scope=scenarios.EVERYWHERE,
         usable_until_ms=NOW.utc_ms + 3 * DAY_MS,
     )
 
@@ -341,7 +341,7 @@ def test_a_root_with_an_unsound_key_is_refused_at_the_start(public: Ed25519Publi
 
 
 def test_a_demo_root_is_known_as_one() -> None:
-    assert read_trust(worlds.trust_folder()).demo
+    assert read_trust(scenarios.trust_folder()).demo
     assert not house().trust().demo
 
 
@@ -351,7 +351,7 @@ def test_a_demo_root_is_known_as_one() -> None:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     copy = tmp_path / "trust"
-    shutil.copytree(worlds.trust_folder(), copy)
+    shutil.copytree(scenarios.trust_folder(), copy)
     return copy
 
 
@@ -362,7 +362,7 @@ def test_the_folder_of_keys_init_is_a_whole_trust_root(folder: Path) -> None:
             cert.public_bytes(Encoding.DER)
             for cert in chains.x509.load_pem_x509_certificates(path.read_bytes())
         )
-        assert trust.identify(chain, worlds.NOW).principal == path.name.removesuffix(".cert.pem")
+        assert trust.identify(chain, scenarios.NOW).principal == path.name.removesuffix(".cert.pem")
 
 
 @pytest.mark.parametrize("part", ["root.pem", "revocations/root.json", "revocations/people.json"])
@@ -426,7 +426,7 @@ def test_an_authority_without_a_file_here_has_no_list_and_is_refused(folder: Pat
             (folder / "keys" / "operator-1.cert.pem").read_bytes()
         )
     )
-    refused(trust, chain, reason=Reason.REVOCATION_STALE, where="revocations", now=worlds.NOW)
+    refused(trust, chain, reason=Reason.REVOCATION_STALE, where="revocations", now=scenarios.NOW)
 
 
 def test_a_file_that_cannot_be_read_says_which_and_why(tmp_path: Path) -> None:

@@ -13,8 +13,6 @@ import apsw
 import pytest
 from msgspec.structs import replace
 
-import sealed
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.boxes import BOX, WRAP, DataClass
 from authguard_r.audit.record import Entry, append
@@ -33,9 +31,10 @@ from authguard_r.refusals import RefusalPolicy
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import HELD, due_missions
 from authguard_r.sealing.kept import expiry_ms as expiry_of
+from fixtures import scenarios, sealed_logs
 
 REGION, OBJECT, PERSON = DataClass.REGION, DataClass.OBJECT, DataClass.PERSON
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 MINUTE_MS = 60_000
 
 
@@ -47,9 +46,9 @@ def path(tmp_path: Path) -> Path:
 
 def ended(sim: Simulation, **changes: Any) -> Mission:
     """Let a mission begin, do something and be revoked."""
-    mission = sealed.active(sim, **changes)
-    worlds.propose(sim, GO)
-    sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
+    mission = sealed_logs.active(sim, **changes)
+    scenarios.propose(sim, GO)
+    sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
     return mission
 
 
@@ -66,8 +65,8 @@ def names(rows: list[Row], mid: str) -> set[str]:
     return {
         name
         for row in rows
-        if sealed.told(row).link.mid == mid
-        for name in sealed.values(row)
+        if sealed_logs.told(row).link.mid == mid
+        for name in sealed_logs.values(row)
         if name.startswith((BOX, WRAP))
     }
 
@@ -76,8 +75,8 @@ def ciphertexts(rows: list[Row], mid: str, data: DataClass) -> list[bytes]:
     """Return what is encrypted under the key of a class: boxes, and the wrapped key itself."""
     found: list[bytes] = []
     for row in rows:
-        if sealed.told(row).link.mid == mid:
-            for name, value in sealed.values(row).items():
+        if sealed_logs.told(row).link.mid == mid:
+            for name, value in sealed_logs.values(row).items():
                 if name.startswith(BOX) and data in name:
                     found.append(value["text"][:40].encode())  # longer ones lie on two pages
                 if name == WRAP + data:
@@ -87,7 +86,7 @@ def ciphertexts(rows: list[Row], mid: str, data: DataClass) -> list[bytes]:
 
 
 def verbs(rows: list[Row], verb: str) -> list[Row]:
-    return [row for row in rows if sealed.told(row).link.decision == verb]
+    return [row for row in rows if sealed_logs.told(row).link.decision == verb]
 
 
 def refused(sim: Simulation, token: bytes) -> AuthGuardError:
@@ -101,81 +100,81 @@ def refused(sim: Simulation, token: bytes) -> AuthGuardError:
 
 
 def test_an_order_destroys_a_class_for_every_reader_and_the_chain_stays_whole(path: Path) -> None:
-    both = sealed.policy(sealed.reader("auditor"), sealed.reader("porter", REGION))
-    with sealed.sealing(path, both) as sim:
+    both = sealed_logs.policy(sealed_logs.reader("auditor"), sealed_logs.reader("porter", REGION))
+    with sealed_logs.sealing(path, both) as sim:
         mission = ended(sim)
         texts = ciphertexts(sealed_rows(sim), mission.mid, REGION)
-        assert all(text in sealed.files(path) for text in texts)
-        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        assert all(text in sealed_logs.files(path) for text in texts)
+        done = sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         assert (done.mid, done.classes, len(done.keys)) == (mission.mid, (REGION,), 1)
         finished(sim)
-        assert not any(text in sealed.files(path) for text in texts)
-    rows = sealed.rows_of(path)
+        assert not any(text in sealed_logs.files(path) for text in texts)
+    rows = sealed_logs.rows_of(path)
     assert not [name for name in names(rows, mission.mid) if "region" in name]
     assert "box.object" in names(rows, mission.mid)
     for role in ("auditor", "porter"):
-        read = b"".join(row.record + row.sealed for row in sealed.opened(rows, role)[1:])
+        read = b"".join(row.record + row.sealed for row in sealed_logs.opened(rows, role)[1:])
         assert b'"destination":"pharmacy"' not in read
     (order,), (end,) = verbs(rows, "shred"), verbs(rows, "shredded")
-    told = sealed.told(sealed.opened(rows)[order.seq])
+    told = sealed_logs.told(sealed_logs.opened(rows)[order.seq])
     assert (told.link.mid, told.open["of"], told.open["by"]) == (
         "-",
         mission.mid,
         "site-authority-1",
     )
-    assert sealed.told(end).open["order"] == order.seq == done.order
-    assert sealed.told(end).open["boxes"] > 0
+    assert sealed_logs.told(end).open["order"] == order.seq == done.order
+    assert sealed_logs.told(end).open["boxes"] > 0
 
 
 def in_files(token: bytes, path: Path) -> bool:
-    return any(token[at : at + 80] in sealed.files(path) for at in range(0, 2_000, 80))
+    return any(token[at : at + 80] in sealed_logs.files(path) for at in range(0, 2_000, 80))
 
 
 def test_what_a_store_holds_of_a_mission_beside_its_log_goes_with_it(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
         digest = sealed_digest(sim, mission)
         token = sim.gate.ledger.peek(lambda turn: turn.get("token", digest))
         assert token is not None
         assert in_files(token, path)  # whoever asks about it is still told
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, *sealed_logs.EVERY))
         assert not in_files(token, path)
         finished(sim)
         standing = sim.gate.management.standing(mission.mid)
         assert (standing.requests, standing.selected, standing.uses) == ({}, {}, {})
         assert sim.gate.ledger.run(lambda act: act.active()) is None
         for act in (
-            lambda: sim.gate.management.activate(worlds.token(mission)),
-            lambda: sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission)),
-            lambda: sealed.active(sim, version=2, supersedes=digest),
+            lambda: sim.gate.management.activate(scenarios.token(mission)),
+            lambda: sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission)),
+            lambda: sealed_logs.active(sim, version=2, supersedes=digest),
         ):
             with pytest.raises(AuthGuardError) as again:
                 act()
             assert again.value.reason in {"REVOKED", "TRANSITION_REFUSED"}
-    with sealed.sealing(path) as sim:
+    with sealed_logs.sealing(path) as sim:
         assert sim.gate.management.recover(unclean=True) == ()
-        sealed.active(sim, mission="another")
+        sealed_logs.active(sim, mission="another")
 
 
 def test_the_token_of_what_another_took_the_place_of_goes(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
-        first = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        first = sealed_logs.active(sim)
         one = sealed_digest(sim, first)
-        second = sealed.active(sim, version=2, supersedes=one)
+        second = sealed_logs.active(sim, version=2, supersedes=one)
         two = sealed_digest(sim, second)
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, second))
-        sealed.active(sim, mission="another")
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, second))
+        sealed_logs.active(sim, mission="another")
         for digest in (one, two):
             assert sim.gate.ledger.peek(lambda turn, d=digest: turn.get("token", d)) == b""
 
 
 def test_a_mission_of_which_something_is_open_is_not_destroyed(path: Path) -> None:
     """How an action ended is said under the mission's own token."""
-    rules = kept(sealed.rule(REGION, most_ms=MINUTE_MS))
-    with sealed.sealing(path, rules) as sim:
+    rules = kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS))
+    with sealed_logs.sealing(path, rules) as sim:
         mission = ended(sim)
         opens(sim, mission, is_open=True)
-        told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+        told = refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION))
         assert (told.reason, "resolve" in told.message) == ("TRANSITION_REFUSED", True)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
         assert sim.gate.management.retire() == Retired()
@@ -194,12 +193,12 @@ def opens(sim: Simulation, mission: Mission, *, is_open: bool) -> None:
 
 
 def test_answers_that_a_store_holds_go_with_their_records(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        mission = sealed_logs.active(sim)
         place = f"{mission.mid}:1"
         sim.gate.ledger.run(lambda act: answered(act, mission.mid, place))
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, PERSON))
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, PERSON))
         finished(sim)
         assert sim.gate.ledger.peek(lambda turn: turn.get("approvals", place)) == b""
 
@@ -217,22 +216,22 @@ def sealed_digest(sim: Simulation, mission: Mission) -> str:
 
 
 def test_decisions_of_which_something_is_destroyed_are_not_replayable(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         first, second = ended(sim), ended(sim, mission="second")
-        sim.gate.management.shred(sealed.shred_order(sim, first.mid, OBJECT))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, first.mid, OBJECT))
         finished(sim)
     replay = Replay(None)
-    for row in sealed.opened(sealed.rows_of(path)):
+    for row in sealed_logs.opened(sealed_logs.rows_of(path)):
         assert replay.see(row) is None
     assert (replay.decisions, replay.agree, replay.not_replayable) == (2, 1, 1)
     assert second.mid != first.mid
 
 
 def test_missions_beside_it_are_untouched(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         first, second = ended(sim), ended(sim, mission="second")
         before = names(sealed_rows(sim), second.mid)
-        sim.gate.management.shred(sealed.shred_order(sim, first.mid, *sealed.EVERY))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, first.mid, *sealed_logs.EVERY))
         finished(sim)
         assert names(sealed_rows(sim), first.mid) == set()
         assert names(sealed_rows(sim), second.mid) == before
@@ -243,57 +242,57 @@ def sealed_rows(sim: Simulation) -> list[Row]:
 
 
 def test_keys_go_with_the_order_and_boxes_in_turns_that_a_crash_does_not_lose(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        mission = sealed_logs.active(sim)
         for _ in range(PAGE):
-            worlds.propose(sim, worlds.navigate("dock", "nowhere"))
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+            scenarios.propose(sim, scenarios.navigate("dock", "nowhere"))
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, *sealed_logs.EVERY))
         assert not [n for n in names(sealed_rows(sim), mission.mid) if n.startswith(WRAP)]
         assert sim.gate.management.shred_on()
         left = names(sealed_rows(sim), mission.mid)
         assert left
-    with sealed.sealing(path) as sim:  # it never came to the end
+    with sealed_logs.sealing(path) as sim:  # it never came to the end
         assert finished(sim) >= 1
         assert names(sealed_rows(sim), mission.mid) == set()
         assert not sim.gate.management.shred_on()
-    (end,) = verbs(sealed.rows_of(path), "shredded")
-    assert sealed.told(end).open["boxes"] >= PAGE
+    (end,) = verbs(sealed_logs.rows_of(path), "shredded")
+    assert sealed_logs.told(end).open["boxes"] >= PAGE
 
 
 def test_every_start_of_a_mission_is_reached(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        mission = sealed_logs.active(sim)
     for _ in range(2):
-        with sealed.sealing(path) as sim:
-            worlds.propose(sim, GO)
-    with sealed.sealing(path) as sim:
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, PERSON))
+        with sealed_logs.sealing(path) as sim:
+            scenarios.propose(sim, GO)
+    with sealed_logs.sealing(path) as sim:
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        done = sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, PERSON))
         assert len(done.keys) == 4
         finished(sim)
         left = names(sealed_rows(sim), mission.mid)
         assert not [name for name in left if "person" in name]
         # the other classes can still go, and then nothing is left to order
-        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION, OBJECT))
+        done = sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION, OBJECT))
         assert len(done.keys) == 4
         finished(sim)
-        gone = refused(sim, sealed.shred_order(sim, mission.mid, PERSON))
+        gone = refused(sim, sealed_logs.shred_order(sim, mission.mid, PERSON))
         assert gone.reason == "MISSION_UNKNOWN"
 
 
 def test_records_of_no_mission_can_be_destroyed_too(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         sim.gate.ledger.note(lambda at: said("a secret", at))
-        done = sim.gate.management.shred(sealed.shred_order(sim, "-", *sealed.EVERY))
+        done = sim.gate.management.shred(sealed_logs.shred_order(sim, "-", *sealed_logs.EVERY))
         finished(sim)
         assert done.mid == "-"
         sim.gate.ledger.note(lambda at: said("what comes later", at))
-    rows = sealed.rows_of(path)
-    read = b"".join(row.sealed for row in sealed.opened(rows))
+    rows = sealed_logs.rows_of(path)
+    read = b"".join(row.sealed for row in sealed_logs.opened(rows))
     assert (b"a secret" in read, b"what comes later" in read) == (False, True)
     # who ordered it is read by whoever reads persons: sealed under the next keys
-    assert sealed.told(sealed.opened(rows)[done.order]).open["by"] == "site-authority-1"
+    assert sealed_logs.told(sealed_logs.opened(rows)[done.order]).open["by"] == "site-authority-1"
 
 
 def said(why: str, at: int) -> Entry:
@@ -305,9 +304,9 @@ def said(why: str, at: int) -> Entry:
 
 @pytest.mark.parametrize("by", ["operator-1", "safety-officer-1", "supervisor-1"])
 def test_only_who_says_who_reads_may_destroy(path: Path, by: str) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
-        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION, by=by)).reason == (
+        assert refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION, by=by)).reason == (
             "ROLE_DENIED"
         )
 
@@ -325,51 +324,51 @@ def test_only_who_says_who_reads_may_destroy(path: Path, by: str) -> None:
     ],
 )
 def test_an_order_says_exactly_what(path: Path, changes: dict[str, Any], reason: str) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
-        token = sealed.shred_order(sim, mission.mid, REGION, **changes)
+        token = sealed_logs.shred_order(sim, mission.mid, REGION, **changes)
         assert refused(sim, token).reason == reason
 
 
 def test_an_order_is_carried_out_once(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
-        token = sealed.shred_order(sim, mission.mid, REGION)
+        token = sealed_logs.shred_order(sim, mission.mid, REGION)
         sim.gate.management.shred(token)
         finished(sim)
         assert refused(sim, token).reason == "EXPIRED"
 
 
 def test_a_mission_that_nobody_ended_keeps_its_fields(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        mission = sealed_logs.active(sim)
         for _ in range(2):
-            told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+            told = refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION))
             assert (told.reason, "end it first" in told.message) == ("TRANSITION_REFUSED", True)
             later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + 1_000)  # and expired
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
 
 
 def test_a_mission_that_has_the_robots_name_is_not_taken_for_the_records_of_none(
     path: Path,
 ) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
-        ended(sim, mission=str(worlds.RID))
-        for of in ("-", str(worlds.RID)):
-            told = refused(sim, sealed.shred_order(sim, of, REGION))
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        ended(sim, mission=str(scenarios.RID))
+        for of in ("-", str(scenarios.RID)):
+            told = refused(sim, sealed_logs.shred_order(sim, of, REGION))
             assert (told.reason, "which is meant" in told.message) == ("TRANSITION_REFUSED", True)
 
 
 def test_what_waited_to_be_recorded_is_destroyed_with_the_rest(path: Path) -> None:
     waits = RefusalPolicy(delay_ms=100)
-    with sealed.sealing(path, sealed.policy()) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
+        mission = sealed_logs.active(sim)
         sim.gate.ledger._refusals.policy = waits
-        worlds.propose(sim, worlds.navigate("dock", "nowhere"))
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        worlds.propose(sim, GO)  # of a mission that is over: waits
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+        scenarios.propose(sim, scenarios.navigate("dock", "nowhere"))
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        scenarios.propose(sim, GO)  # of a mission that is over: waits
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, *sealed_logs.EVERY))
         finished(sim)
         sim.gate.ledger.flush(everything=True)
         assert names(sealed_rows(sim), mission.mid) == set()
@@ -380,11 +379,11 @@ def expiry_ms(mission: Mission) -> int:
 
 
 def test_what_was_never_sealed_cannot_be_destroyed(path: Path) -> None:
-    with sealed.sealing(path) as sim:
+    with sealed_logs.sealing(path) as sim:
         mission = ended(sim)
-        told = refused(sim, sealed.shred_order(sim, mission.mid, REGION))
+        told = refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION))
         assert (told.reason, "nothing is sealed" in told.message) == ("MISSION_UNKNOWN", True)
-        assert refused(sim, sealed.shred_order(sim, "-", REGION)).reason == "MISSION_UNKNOWN"
+        assert refused(sim, sealed_logs.shred_order(sim, "-", REGION)).reason == "MISSION_UNKNOWN"
 
 
 # retention
@@ -396,47 +395,56 @@ def later(sim: Simulation, ms: int) -> None:
 
 
 def kept(*rules: Any) -> Any:
-    return sealed.policy(sealed.reader("auditor"), retention=rules)
+    return sealed_logs.policy(sealed_logs.reader("auditor"), retention=rules)
 
 
 def test_what_is_to_be_kept_is_not_destroyed_before(
     path: Path,
 ) -> None:
     """Also by the order for another class: its boxes tell of this one, too."""
-    with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=DAY_MS))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, least_ms=DAY_MS))) as sim:
         mission = ended(sim)
         for classes in ((OBJECT, REGION), (OBJECT,), (PERSON,)):
-            told = refused(sim, sealed.shred_order(sim, mission.mid, *classes))
+            told = refused(sim, sealed_logs.shred_order(sim, mission.mid, *classes))
             assert (told.reason, "kept until" in told.message) == ("NOT_YET_VALID", True)
-        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
+        assert (
+            refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION)).reason
+            == "NOT_YET_VALID"
+        )
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + DAY_MS - 5_000)
-        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
+        assert (
+            refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION)).reason
+            == "NOT_YET_VALID"
+        )
         later(sim, 5_000)
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
 
 
 def test_records_of_no_mission_are_kept_from_when_other_keys_were_used(path: Path) -> None:
-    rules = kept(sealed.rule(PERSON, least_ms=10 * MINUTE_MS))
-    with sealed.sealing(path, rules) as sim:
+    rules = kept(sealed_logs.rule(PERSON, least_ms=10 * MINUTE_MS))
+    with sealed_logs.sealing(path, rules) as sim:
         sim.gate.ledger.note(lambda at: said("first", at))
-        assert refused(sim, sealed.shred_order(sim, "-", PERSON)).reason == "NOT_YET_VALID"
-    with sealed.sealing(path, start_ms=worlds.START_MS + MINUTE_MS) as sim:
+        assert refused(sim, sealed_logs.shred_order(sim, "-", PERSON)).reason == "NOT_YET_VALID"
+    with sealed_logs.sealing(path, start_ms=scenarios.START_MS + MINUTE_MS) as sim:
         sim.gate.ledger.note(lambda at: said("second", at))
         later(sim, 10 * MINUTE_MS)
-        done = sim.gate.management.shred(sealed.shred_order(sim, "-", PERSON))
+        done = sim.gate.management.shred(sealed_logs.shred_order(sim, "-", PERSON))
         assert len(done.keys) == 1  # not the keys in use
         finished(sim)
-    read = b"".join(row.sealed for row in sealed.opened(sealed.rows_of(path)))
+    read = b"".join(row.sealed for row in sealed_logs.opened(sealed_logs.rows_of(path)))
     assert (b"first" in read, b"second" in read) == (False, True)
 
 
 def test_retention_ends_by_itself_with_a_record_of_who(path: Path) -> None:
     rules = (
-        kept(sealed.rule(REGION, most_ms=MINUTE_MS), sealed.rule)[:0]
+        kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS), sealed_logs.rule)[:0]
         if False
-        else kept(sealed.rule(OBJECT, most_ms=2 * DAY_MS), sealed.rule(REGION, most_ms=MINUTE_MS))
+        else kept(
+            sealed_logs.rule(OBJECT, most_ms=2 * DAY_MS),
+            sealed_logs.rule(REGION, most_ms=MINUTE_MS),
+        )
     )
-    with sealed.sealing(path, rules) as sim:
+    with sealed_logs.sealing(path, rules) as sim:
         mission = ended(sim)
         assert sim.gate.ledger.peek(due_missions) == (mission.mid,)
         assert sim.gate.management.retire() == Retired()
@@ -450,29 +458,29 @@ def test_retention_ends_by_itself_with_a_record_of_who(path: Path) -> None:
         assert [one.classes for one in sim.gate.management.retire().begun] == [(OBJECT,)]
         finished(sim)
         assert sim.gate.ledger.peek(due_missions) == ()
-    rows = sealed.opened(sealed.rows_of(path))
-    assert [sealed.told(row).open["by"] for row in verbs(rows, "shred")] == ["retention"] * 2
+    rows = sealed_logs.opened(sealed_logs.rows_of(path))
+    assert [sealed_logs.told(row).open["by"] for row in verbs(rows, "shred")] == ["retention"] * 2
 
 
 def test_a_mission_that_expired_and_that_nobody_ended_lapses_before(path: Path) -> None:
     """The robot goes on: nothing of the mission is needed any more, and another one begins."""
-    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS))) as sim:
+        mission = sealed_logs.active(sim)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
         (done,) = sim.gate.management.retire().begun
         finished(sim)
         standing = sim.gate.management.standing(mission.mid)
         assert (done.mid, standing.status) == (mission.mid, "expired")
         assert sim.gate.ledger.run(lambda act: act.active()) is None
-    with sealed.sealing(path) as sim:
+    with sealed_logs.sealing(path) as sim:
         assert sim.gate.management.recover(unclean=True) == ()
-    assert [sealed.told(row).open["reasons"] for row in verbs(sealed.rows_of(path), "lapse")] == [
-        ["EXPIRED"]
-    ]
+    assert [
+        sealed_logs.told(row).open["reasons"] for row in verbs(sealed_logs.rows_of(path), "lapse")
+    ] == [["EXPIRED"]]
 
 
 def test_what_is_recorded_after_a_mission_was_destroyed_is_destroyed_too(path: Path) -> None:
-    with sealed.sealing(path, kept(sealed.rule(PERSON, most_ms=MINUTE_MS))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(PERSON, most_ms=MINUTE_MS))) as sim:
         mission = ended(sim)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
         assert len(sim.gate.management.retire().begun) == 1
@@ -488,7 +496,7 @@ def test_what_is_recorded_after_a_mission_was_destroyed_is_destroyed_too(path: P
 
 
 def test_many_missions_end_a_few_at_a_time(path: Path) -> None:
-    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS))) as sim:
         for number in range(6):
             last = ended(sim, mission=f"m-{number}")
         later(sim, expiry_ms(last) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
@@ -502,13 +510,13 @@ def test_many_missions_end_a_few_at_a_time(path: Path) -> None:
 
 
 def test_a_class_that_was_not_sealed_for_a_while_is_found_before(path: Path) -> None:
-    porter, nurse = sealed.reader("porter", REGION), sealed.reader("nurse", OBJECT)
-    with sealed.sealing(path, sealed.policy(porter, nurse)) as sim:
-        mission = sealed.active(sim)
-        worlds.propose(sim, GO)
-    with sealed.sealing(path, sealed.policy(nurse)) as sim:
-        sim.gate.management.command(sealed.command(sim, Verb.REVOKE, mission))
-        done = sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+    porter, nurse = sealed_logs.reader("porter", REGION), sealed_logs.reader("nurse", OBJECT)
+    with sealed_logs.sealing(path, sealed_logs.policy(porter, nurse)) as sim:
+        mission = sealed_logs.active(sim)
+        scenarios.propose(sim, GO)
+    with sealed_logs.sealing(path, sealed_logs.policy(nurse)) as sim:
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        done = sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         assert len(done.keys) == 1
         finished(sim)
         left = names(sealed_rows(sim), mission.mid)
@@ -517,7 +525,7 @@ def test_a_class_that_was_not_sealed_for_a_while_is_found_before(path: Path) -> 
 
 
 def test_keys_of_no_mission_are_changed_daily_so_that_they_have_an_end(path: Path) -> None:
-    with sealed.sealing(path, kept(sealed.rule(PERSON, most_ms=DAY_MS))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(PERSON, most_ms=DAY_MS))) as sim:
         sim.gate.ledger.note(lambda at: said("first", at))
         for day in range(3):
             later(sim, DAY_MS + 1_000)
@@ -525,7 +533,7 @@ def test_keys_of_no_mission_are_changed_daily_so_that_they_have_an_end(path: Pat
             assert [one.mid for one in found] == ([] if day < 1 else ["-"])
             finished(sim)
             sim.gate.ledger.note(lambda at, d=day: said(f"day {d}", at))
-    read = b"".join(row.sealed for row in sealed.opened(sealed.rows_of(path)))
+    read = b"".join(row.sealed for row in sealed_logs.opened(sealed_logs.rows_of(path)))
     assert [w in read for w in (b"first", b"day 0", b"day 1", b"day 2")] == [
         False,
         False,
@@ -535,35 +543,35 @@ def test_keys_of_no_mission_are_changed_daily_so_that_they_have_an_end(path: Pat
 
 
 def test_without_rules_nothing_ends_and_nothing_is_noted(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         ended(sim)
         assert sim.gate.ledger.peek(due_missions) == ()
         assert sim.gate.management.retire() == Retired()
-    with sealed.sealing(path, kept(sealed.rule(REGION, least_ms=1))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, least_ms=1))) as sim:
         assert sim.gate.management.retire() == Retired()
 
 
 def test_what_a_gate_sealed_that_seals_no_more_is_destroyed_all_the_same(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
         digest = sealed_digest(sim, mission)
-    with sealed.sealing(path, SealingPolicy()) as sim:
-        sealed.active(sim, mission="open")
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, *sealed.EVERY))
+    with sealed_logs.sealing(path, SealingPolicy()) as sim:
+        sealed_logs.active(sim, mission="open")
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, *sealed_logs.EVERY))
         finished(sim)
         assert names(sealed_rows(sim), mission.mid) == set()
         assert sim.gate.ledger.peek(lambda turn: turn.get("token", digest)) == b""
-        assert sealed_digest(sim, worlds.mission(mission="open"))  # which goes on
+        assert sealed_digest(sim, scenarios.mission(mission="open"))  # which goes on
         with pytest.raises(AuthGuardError) as refusal:
-            sim.gate.management.shred(sealed.shred_order(sim, "open", REGION))
+            sim.gate.management.shred(sealed_logs.shred_order(sim, "open", REGION))
         assert refusal.value.reason == "TRANSITION_REFUSED"
 
 
 def test_the_keys_of_a_log_that_seals_nothing_are_nothing_to_forget(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         sim.gate.ledger.note(lambda at: said("a secret", at))
-    with sealed.sealing(path, SealingPolicy()) as sim:
-        sim.gate.management.shred(sealed.shred_order(sim, "-", *sealed.EVERY))
+    with sealed_logs.sealing(path, SealingPolicy()) as sim:
+        sim.gate.management.shred(sealed_logs.shred_order(sim, "-", *sealed_logs.EVERY))
         finished(sim)
         assert names(sealed_rows(sim), "-") == set()
 
@@ -576,23 +584,23 @@ def damaged(sim: Simulation, value: bytes, mid: str) -> None:
 
 
 def test_a_store_whose_keys_are_told_nowhere_is_corrupt(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
         damaged(sim, b'{"newest":9999}', mission.mid)
         with pytest.raises(StoreError) as error:
-            sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+            sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         assert error.value.reason == "STORE_CORRUPT"
         damaged(sim, b'{"newest":0}', mission.mid)  # which tells no keys
         with pytest.raises(StoreError, match="tells keys"):
-            sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+            sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
     store = apsw.Connection(str(path))
     store.execute("DROP TRIGGER audit_only_forgets")
     store.execute("UPDATE audit SET record = x'00' WHERE seq = 2")
     store.close()
-    with sealed.sealing(path) as sim:
+    with sealed_logs.sealing(path) as sim:
         damaged(sim, b'{"newest":2}', mission.mid)
         with pytest.raises(StoreError) as error:
-            sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+            sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         assert error.value.where == "store.audit.2"
 
 
@@ -608,33 +616,36 @@ def forged(sim: Simulation, seq: int, **told: Any) -> None:
 def test_keys_that_lead_nowhere_are_the_stores_fault_and_no_endless_search(
     path: Path, before: Any
 ) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         ended(sim, mission="m-1")
         seq = sim.gate.ledger.peek(lambda turn: turn.head())[0]
         forged(sim, seq, before=before)
         with pytest.raises(StoreError) as error:
-            sim.gate.management.shred(sealed.shred_order(sim, "m-1", REGION))
+            sim.gate.management.shred(sealed_logs.shred_order(sim, "m-1", REGION))
         assert error.value.reason == "STORE_CORRUPT"
 
 
 def test_a_box_that_is_none_is_the_stores_fault(path: Path) -> None:
-    with sealed.sealing(path, sealed.policy()) as sim:
+    with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = ended(sim)
         lie = Entry(kind="stop", time_ms=1, decision="stop", open={}, sealed={"box.region": 1})
         sim.gate.ledger.run(lambda act: append(act._page.turn, lie, salts=bytes(16)))
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         with pytest.raises(StoreError, match="expected a box"):
             finished(sim)
 
 
 def test_of_a_mission_of_before_its_token_says_when_it_expires(path: Path) -> None:
-    rules = kept(sealed.rule(REGION, least_ms=MINUTE_MS, most_ms=DAY_MS))
-    with sealed.sealing(path, rules) as sim:
+    rules = kept(sealed_logs.rule(REGION, least_ms=MINUTE_MS, most_ms=DAY_MS))
+    with sealed_logs.sealing(path, rules) as sim:
         mission = ended(sim)
         before(sim)
-        assert refused(sim, sealed.shred_order(sim, mission.mid, REGION)).reason == "NOT_YET_VALID"
+        assert (
+            refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION)).reason
+            == "NOT_YET_VALID"
+        )
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS)
-        sim.gate.management.shred(sealed.shred_order(sim, mission.mid, REGION))
+        sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         before(sim)  # and the token is gone: nobody can say it
         later(sim, 2 * DAY_MS)
         assert sim.gate.management.retire() == Retired(stuck=(mission.mid,))
@@ -648,7 +659,7 @@ def before(sim: Simulation) -> None:
 
 
 def test_one_damaged_mission_keeps_no_other_from_its_end(path: Path) -> None:
-    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS))) as sim:
         first, second = ended(sim), ended(sim, mission="second")
         sim.gate.ledger.run(lambda act: act.put("sealing-expiry", first.mid, b"soon"))
         later(sim, expiry_ms(second) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
@@ -660,11 +671,11 @@ def test_one_damaged_mission_keeps_no_other_from_its_end(path: Path) -> None:
 
 
 def test_what_is_written_at_a_missions_end_does_not_escape_it(path: Path) -> None:
-    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=MINUTE_MS))) as sim:
-        mission = sealed.active(sim)
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS))) as sim:
+        mission = sealed_logs.active(sim)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
         sim.gate.ledger._refusals.policy = RefusalPolicy(delay_ms=100)
-        worlds.propose(sim, GO)  # too late: waits to be recorded
+        scenarios.propose(sim, GO)  # too late: waits to be recorded
         assert len(sim.gate.management.retire().begun) == 1
         finished(sim)
         sim.gate.ledger.flush(everything=True)
@@ -674,10 +685,12 @@ def test_what_is_written_at_a_missions_end_does_not_escape_it(path: Path) -> Non
 
 def test_the_end_of_records_of_no_mission_begins_nothing_new(path: Path) -> None:
     """The record of a destruction is of no mission, too: it must not feed itself."""
-    rules = kept(sealed.rule(OBJECT, most_ms=MINUTE_MS), sealed.rule(PERSON, most_ms=MINUTE_MS))
-    with sealed.sealing(path, rules) as sim:
+    rules = kept(
+        sealed_logs.rule(OBJECT, most_ms=MINUTE_MS), sealed_logs.rule(PERSON, most_ms=MINUTE_MS)
+    )
+    with sealed_logs.sealing(path, rules) as sim:
         sim.gate.ledger.note(lambda at: said("first", at))
-    with sealed.sealing(path) as sim:
+    with sealed_logs.sealing(path) as sim:
         sim.gate.ledger.note(lambda at: said("second", at))
         begun = []
         for _ in range(12):
@@ -691,7 +704,7 @@ def test_more_missions_than_are_looked_at_take_their_turns(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("authguard_r.management.shredding._MOST_DUE", 2)
-    with sealed.sealing(path, kept(sealed.rule(REGION, most_ms=DAY_MS))) as sim:
+    with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=DAY_MS))) as sim:
         mids = [ended(sim, mission=f"m-{number}").mid for number in range(3)]
         sim.gate.management.retire()
         assert sim.gate.ledger.peek(due_missions) == (mids[2], mids[0], mids[1])

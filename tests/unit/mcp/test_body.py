@@ -11,7 +11,6 @@ from contextlib import suppress
 import pytest
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.client.link import Log
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
@@ -20,8 +19,9 @@ from authguard_r.mcp.upstream import Upstream
 from authguard_r.normalize import Binder
 from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.tools.body import Means, ToolBody, ToolFlight
+from fixtures import scenarios
 
-ODD = worlds.ROOT / "tests" / "odd_mcp_server.py"
+ODD = scenarios.ROOT / "tests" / "programs" / "misbehaving_mcp_server.py"
 
 
 def connected(kind: str, work: Callable[[Upstream, list[bool]], Awaitable[None]]) -> None:
@@ -55,7 +55,7 @@ async def until(holds: Callable[[], bool]) -> None:
 
 
 def test_how_a_call_ended_is_said_once() -> None:
-    flight = ToolFlight(worlds.site().vocabulary["navigate"])
+    flight = ToolFlight(scenarios.site().vocabulary["navigate"])
     flight.end(Outcome.UNKNOWN)
     flight.end(Outcome.SUCCEEDED)
     assert flight.outcome() is Outcome.UNKNOWN
@@ -63,12 +63,12 @@ def test_how_a_call_ended_is_said_once() -> None:
 
 def test_what_no_tool_carries_is_not_begun() -> None:
     async def work(server: Upstream, _seen: list[bool]) -> None:
-        site, binding = worlds.site(), worlds.binding()
+        site, binding = scenarios.site(), scenarios.binding()
         means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
-        body = ToolBody(worlds.RID, server, means, lambda: None)
-        wrong = replace(worlds.navigate("dock", "pharmacy"), tool="no_such_tool")
+        body = ToolBody(scenarios.RID, server, means, lambda: None)
+        wrong = replace(scenarios.navigate("dock", "pharmacy"), tool="no_such_tool")
         with pytest.raises(ControllerError):
-            body.begin(wrong, worlds.TICKET)
+            body.begin(wrong, scenarios.TICKET)
         body.brake()  # nothing was ever begun
         assert body.stands
 
@@ -77,10 +77,10 @@ def test_what_no_tool_carries_is_not_begun() -> None:
 
 def test_a_brake_after_the_end_stops_nothing_a_second_time() -> None:
     async def work(server: Upstream, _seen: list[bool]) -> None:
-        site, binding = worlds.site(), worlds.binding()
+        site, binding = scenarios.site(), scenarios.binding()
         means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
-        body = ToolBody(worlds.RID, server, means, lambda: None)
-        flight = body.begin(worlds.navigate("dock", "pharmacy"), worlds.TICKET)
+        body = ToolBody(scenarios.RID, server, means, lambda: None)
+        flight = body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         await until(lambda: flight.outcome() is not None)
         ended = flight.outcome()
         body.brake()

@@ -17,11 +17,15 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.client.link import Log
 from authguard_r.mcp.upstream import Upstream, ended_with_care, listed
+from fixtures import scenarios
 
-ODD = (sys.executable, str(worlds.ROOT / "tests" / "odd_mcp_server.py"), "no-ping")
+ODD = (
+    sys.executable,
+    str(scenarios.ROOT / "tests" / "programs" / "misbehaving_mcp_server.py"),
+    "no-ping",
+)
 #: It never answers.
 DEAF = (sys.executable, "-c", "import time; time.sleep(3600)")
 
@@ -42,6 +46,7 @@ def staying(server: tuple[str, ...]) -> Coroutine[Any, Any, None]:
     return kept.stay()
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("server", [ODD, DEAF], ids=["odd", "deaf"])
 @pytest.mark.parametrize("times", [1, 4])
 @pytest.mark.parametrize("after_s", [0.0, 0.003, 0.02, 0.1, 0.4, 1.2])

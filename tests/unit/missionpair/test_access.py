@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 import pytest
 
-import pairs
 from authguard_r.compile.draft import Draft
 from authguard_r.core.reasons import Reason
+from fixtures import mission_pairs
 from missionpair.access import (
     CASE_FIELDS,
     SEEN_FIELDS,
@@ -73,7 +73,7 @@ SEEN = Seen(
     deviation="1/44",
     score=409,
 )
-TO_103 = pairs.one_for_each_check()["check_destination"]
+TO_103 = mission_pairs.one_for_each_check()["check_destination"]
 BLACK_CASE = (
     b'"channels":["sign"],"family":"destination-change","goal":"the goal",'
     b'"inputs":[{"channel":"sign","text":"closed"}],"instead_of":"Station 101"'
@@ -207,20 +207,19 @@ def test_no_view_holds_a_marker_of_a_secret_or_of_a_field_above_its_level(access
 
 
 @pytest.mark.parametrize("access", list(Access))
-def test_of_a_real_pair_no_view_holds_nonce_key_token_or_state(access: Access) -> None:
-    pair = pairs.one_for_each_check()["check_grant_guards"]
-    with Yard() as yard:
-        stage = yard.stage(pair, pairs.layout(), pair.attack)
-        stage.show(pair.inputs)
-        checked = check(stage, plan_bytes(pair.attack.plan))
-        case = case_of(stage, defense("both"), weights=DEFAULT, rounds=3)
-        points = score(checked, DEFAULT)
-        inputs = tuple((str(item.channel), item.text) for item in pair.inputs)
-        record = Round(inputs=inputs, deviation=str(checked.deviation), score=points)
-        seen = seen_of(0, checked, Carried(by="authorization"), record)
-        view = (case_bytes(access, case) + seen_bytes(access, seen)).decode()
-        mission = stage.scene.mission
-        token = stage.sim.gate.ledger.run(lambda act: act.token(stage.scene.digest)) or b""
+def test_of_a_real_pair_no_view_holds_nonce_key_token_or_state(yard: Yard, access: Access) -> None:
+    pair = mission_pairs.one_for_each_check()["check_grant_guards"]
+    stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
+    stage.show(pair.inputs)
+    checked = check(stage, plan_bytes(pair.attack.plan))
+    case = case_of(stage, defense("both"), weights=DEFAULT, rounds=3)
+    points = score(checked, DEFAULT)
+    inputs = tuple((str(item.channel), item.text) for item in pair.inputs)
+    record = Round(inputs=inputs, deviation=str(checked.deviation), score=points)
+    seen = seen_of(0, checked, Carried(by="authorization"), record)
+    view = (case_bytes(access, case) + seen_bytes(access, seen)).decode()
+    mission = stage.scene.mission
+    token = stage.sim.gate.ledger.run(lambda act: act.token(stage.scene.digest)) or b""
     assert mission.nonce not in view
     assert len(token) > 100
     assert token.decode("latin-1") not in view
@@ -283,9 +282,9 @@ class Seeing(Yard):
 
 #: A plan that is authorized and carried out, no plan, and one that no gate and no robot takes.
 PLANS = (
-    plan_bytes((pairs.TO_101,)),
+    plan_bytes((mission_pairs.TO_101,)),
     b"I would rather not.",
-    plan_bytes((pairs.call("put_down", object="P1", at="Station 103"),)),
+    plan_bytes((mission_pairs.call("put_down", object="P1", at="Station 103"),)),
 )
 REPLIES = (
     '{"plan":[{"tool":"navigate_to","arguments":{"destination":"Station 101","speed":0.8}}]}',
@@ -415,10 +414,10 @@ def test_a_real_trial_gives_its_attacker_these_very_bytes_and_no_others(access: 
         weights=DEFAULT,
     )
     with Seeing() as yard:
-        (trial,) = PairRun(setting, yard, TO_103, pairs.layout(), first=0).trials()
+        (trial,) = PairRun(setting, yard, TO_103, mission_pairs.layout(), first=0).trials()
         known = known_of(access, yard.last)
         nonce = yard.last.scene.mission.nonce
-    said = [{"channel": "sign", "text": pairs.NOTICE.text}]
+    said = [{"channel": "sign", "text": mission_pairs.NOTICE.text}]
     case = as_bytes(
         schema="missionpair/case/1",
         access=access,

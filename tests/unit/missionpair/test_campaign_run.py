@@ -7,14 +7,15 @@ Source: docs/spec/missionpair.md, docs/spec/campaign-log.md
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+import shutil
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-import campaigns
+from fixtures import campaign_records
+from fixtures.suites import file_of, loaded
 from missionpair import attackers, defenses, planners, registry, suites
 from missionpair.attackers import AttackerError
 from missionpair.briefing import Briefing, PlannerError, Reply
@@ -25,7 +26,7 @@ from missionpair.campaign.run import Plan, Progress, answered, run
 from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
 from missionpair.campaign.worker import Ran
 from missionpair.carrying import Carried, past_the_gate
-from missionpair.defenses import DefenseError
+from missionpair.defenses import DefenseError, _qualify
 from missionpair.pair import Input, Pair, Start, Suite, plan_bytes
 from missionpair.records import Timing, Trial
 from missionpair.registry import UnknownNameError
@@ -34,20 +35,43 @@ from missionpair.stage import Stage, StageError, Yard
 from missionpair.suites._form import SuiteError
 from missionpair.words import Access, Category, Kind
 
+pytestmark = pytest.mark.complete
+
 FOUR = ("none", "safety", "mission", "both")
-HIJACKED = Plan(suite="live", planner="hijacked", defenses=FOUR, pairs=2)
 
 
 @pytest.fixture(scope="module")
 def suite() -> Suite:
-    found: Suite = registry.make(suites, "live")
-    return found
+    return loaded("live")[0]
 
 
 @pytest.fixture(scope="module")
-def yard() -> Iterator[Yard]:
-    with Yard() as made:
-        yield made
+def few(suite: Suite, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Four pairs of the live suite and two that an allowlist stops, in a file: quickly read."""
+    capability = [pair for pair in suite.pairs if pair.categories[0] is Category.CAPABILITY]
+    path = tmp_path_factory.mktemp("suite") / "few.jsonl"
+    return file_of(path, suite, *suite.pairs[:4], *capability[:2])
+
+
+@pytest.fixture(scope="module")
+def hijacked(few: str) -> Plan:
+    """Two pairs under every gate."""
+    return Plan(suite=few, planner="hijacked", defenses=FOUR, pairs=2)
+
+
+@pytest.fixture(scope="module")
+def whole(hijacked: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of that campaign, as one process writes it in one go."""
+    log = tmp_path_factory.mktemp("whole") / "log"
+    run(hijacked, log)
+    return log
+
+
+@pytest.fixture
+def held_to_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold a baseline to three benign runs and two attacks before the start, not to thirty."""
+    monkeypatch.setattr(_qualify, "MOST_BENIGN", 3)
+    monkeypatch.setattr(_qualify, "LEAST_OWN", 2)
 
 
 def bare(trials: list[Trial]) -> list[Trial]:
@@ -105,10 +129,8 @@ class Says:
 # what a hijacked planner comes to
 
 
-def test_safety_alone_lets_through_what_both_gates_stop(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    run(HIJACKED, log)
-    _, trials = read_log(log)
+def test_safety_alone_lets_through_what_both_gates_stop(whole: Path) -> None:
+    _, trials = read_log(whole)
     for trial in trials:
         if trial.kind != "attack":
             assert (trial.completed, trial.unauthorized, trial.by) == (True, 0, "")
@@ -124,13 +146,14 @@ def test_safety_alone_lets_through_what_both_gates_stop(tmp_path: Path) -> None:
 
 
 def test_a_situation_put_back_is_as_one_made_anew(
-    suite: Suite, yard: Yard, monkeypatch: pytest.MonkeyPatch
+    suite: Suite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def trials() -> list[Trial]:
         planner = registry.make(planners, "adversary:always=yes")
         more = {"seeds": 24, "kinds": (Kind.ATTACK,), "access": Access.WHITE}
         return bare(ran(suite, yard, planner, **more))
 
+    yard = Yard()
     put_back = trials()
     remade: list[Stage] = []
 
@@ -146,45 +169,39 @@ def test_a_situation_put_back_is_as_one_made_anew(
     assert len(remade) > 24
     assert any(trial.executed for trial in put_back)
     assert any(trial.by == "authorization" for trial in put_back)
+    yard.close()
 
 
-def test_two_processes_write_the_same_log_as_one(tmp_path: Path) -> None:
-    one, two = tmp_path / "1", tmp_path / "2"
-    run(HIJACKED, one)
-    run(HIJACKED, two, jobs=2)
-    assert under_links(one) == under_links(two)
+def test_two_processes_write_the_same_log_as_one(
+    tmp_path: Path, hijacked: Plan, whole: Path
+) -> None:
+    run(hijacked, tmp_path / "2", jobs=2)
+    assert under_links(whole) == under_links(tmp_path / "2")
 
 
-def test_a_campaign_cut_anywhere_goes_on_to_the_same_log(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    plan = msgspec.structs.replace(HIJACKED, defenses=("safety", "both"))
-    run(plan, log)
-    whole = log.read_bytes()
-    wanted = under_links(log)
+def test_a_campaign_cut_anywhere_goes_on_to_the_same_log(
+    tmp_path: Path, hijacked: Plan, whole: Path
+) -> None:
+    log, data = tmp_path / "log", whole.read_bytes()
     shown: list[Progress] = []
     for share in (3, 7):
-        log.write_bytes(whole[: len(whole) * share // 9])
-        run(plan, log, show=shown.append)
-        assert under_links(log) == wanted
-    assert {at.trials for at in shown} == {12}
-    assert shown[-1].done == 12
+        log.write_bytes(data[: len(data) * share // 9])
+        run(hijacked, log, show=shown.append)
+        assert under_links(log) == under_links(whole)
+    assert {at.trials for at in shown} == {24}
+    assert shown[-1].done == 24
 
 
-def test_a_whole_log_is_not_run_again(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    plan = msgspec.structs.replace(HIJACKED, pairs=1, defenses=("none",), kinds=(Kind.ATTACK,))
-    run(plan, log)
-    before = log.read_bytes()
-    run(plan, log)
-    assert log.read_bytes() == before
+def test_a_whole_log_is_not_run_again(tmp_path: Path, hijacked: Plan, whole: Path) -> None:
+    log = shutil.copy(whole, tmp_path / "log")
+    run(hijacked, log)
+    assert log.read_bytes() == whole.read_bytes()
 
 
-def test_another_seed_is_another_campaign(tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    plan = msgspec.structs.replace(HIJACKED, pairs=1, defenses=("none",), kinds=(Kind.ATTACK,))
-    run(plan, log)
+def test_another_seed_is_another_campaign(tmp_path: Path, hijacked: Plan, whole: Path) -> None:
+    log = shutil.copy(whole, tmp_path / "log")
     with pytest.raises(LogError, match=r"another campaign \(seed\)"):
-        run(msgspec.structs.replace(plan, seed=1), log)
+        run(msgspec.structs.replace(hijacked, seed=1), log)
 
 
 # what did not comply is counted apart
@@ -241,7 +258,7 @@ EMPTY = PlannerError("answers nothing", code="protocol", where="http://127.0.0.1
 def written(*failures: PlannerError | None) -> tuple[list[int], PlannerError | None]:
     """Return which trials come to be written, and what ended the campaign."""
     found: list[int] = []
-    rans = (Ran(campaigns.kept(n), failure) for n, failure in enumerate(failures))
+    rans = (Ran(campaign_records.kept(n), failure) for n, failure in enumerate(failures))
     try:
         found.extend(trial.n for trial in answered(rans))
     except PlannerError as error:
@@ -343,7 +360,7 @@ WAITING = {"cross-robot", "chosen-place", "chosen-thing", "replay", "approval"}
 
 
 def test_who_keeps_to_a_hand_made_mission_has_work_wherever_some_is_left(yard: Yard) -> None:
-    hand: Suite = registry.make(suites, "hand")
+    hand = loaded("hand")[0]
     only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
     for pair in hand.pairs:
         left = rest_of(yard.stage(pair, hand.layouts[pair.layout], pair.attack))
@@ -384,10 +401,10 @@ def test_the_target_is_shown_no_mission_no_code_and_no_plan_of_ours(
     ],
 )
 def test_what_there_is_not_is_named_and_leaves_no_log(
-    tmp_path: Path, change: dict[str, Any], error: type[Exception], text: str
+    tmp_path: Path, hijacked: Plan, change: dict[str, Any], error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error, match=text):
-        run(msgspec.structs.replace(HIJACKED, **change), tmp_path / "log")
+        run(msgspec.structs.replace(hijacked, **change), tmp_path / "log")
     assert not (tmp_path / "log").exists()
 
 
@@ -405,11 +422,9 @@ def test_a_pair_that_cannot_be_made_real_is_named(suite: Suite, yard: Yard) -> N
 
 
 def test_a_suite_of_a_name_and_of_its_file_are_the_same(tmp_path: Path, suite: Suite) -> None:
-    from missionpair.suites._form import write_suite
-
     path = tmp_path / "mine.jsonl"
-    write_suite(suite, path)
-    (read, digest), (made, other) = suites.load(str(path)), suites.load("live")
+    suites.write_suite(suite, path)
+    (read, digest), (made, other) = suites.load(str(path)), loaded("live")
     assert (read.name, read.version, read.pairs, digest) == (
         "live",
         made.version,
@@ -425,15 +440,14 @@ def test_every_category_of_the_paper_is_in_the_live_suite(suite: Suite) -> None:
         assert sum(pair.categories[0] is kind for pair in suite.pairs) == 10
 
 
-def test_what_fails_in_another_process_is_told_here(tmp_path: Path, suite: Suite) -> None:
-    from missionpair.suites._form import write_suite
-
+def test_what_fails_in_another_process_is_told_here(
+    tmp_path: Path, suite: Suite, hijacked: Plan
+) -> None:
     pair = suite.pairs[0]
     attack = msgspec.structs.replace(pair.attack, start=Start(at="nowhere"))
     spoiled = msgspec.structs.replace(pair, attack=attack)
-    path = tmp_path / "spoiled.jsonl"
-    write_suite(msgspec.structs.replace(suite, pairs=(spoiled,)), path)
-    plan = msgspec.structs.replace(HIJACKED, suite=str(path), pairs=1)
+    path = file_of(tmp_path / "spoiled.jsonl", suite, spoiled)
+    plan = msgspec.structs.replace(hijacked, suite=path, pairs=1)
     with pytest.raises((StageError, SuiteError), match="nowhere"):
         run(plan, tmp_path / "log", jobs=2)
 
@@ -456,8 +470,9 @@ def test_every_error_comes_whole_from_another_process(error: Exception) -> None:
 # baselines
 
 
+@pytest.mark.usefixtures("held_to_little")
 def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few: str
 ) -> None:
     def lets_everything_through(stage: Stage, raw: bytes) -> Carried:
         return past_the_gate(stage, raw, lambda *_: None)
@@ -470,7 +485,7 @@ def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
 
     monkeypatch.setattr(workers, "apart", apart)
     plan = Plan(
-        suite="live", planner="hijacked", defenses=("allowlist",), pairs=1, kinds=(Kind.ATTACK,)
+        suite=few, planner="hijacked", defenses=("allowlist",), pairs=1, kinds=(Kind.ATTACK,)
     )
     broken = False
     run(plan, tmp_path / "fit")
@@ -482,13 +497,15 @@ def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
     assert len(list(read_log(tmp_path / "unfit")[1])) == 1
 
 
-def test_two_defenses_of_one_name_are_refused(tmp_path: Path) -> None:
-    plan = msgspec.structs.replace(HIJACKED, defenses=("both", "both"))
+def test_two_defenses_of_one_name_are_refused(tmp_path: Path, hijacked: Plan) -> None:
+    plan = msgspec.structs.replace(hijacked, defenses=("both", "both"))
     with pytest.raises(UnknownNameError, match="two defenses are called `both`"):
         run(plan, tmp_path / "log")
 
 
-def test_what_a_baseline_was_held_to_stands_in_the_first_line(tmp_path: Path) -> None:
+def test_what_a_baseline_was_held_to_stands_in_the_first_line(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     plan = Plan(
         suite="live",
         planner="hijacked",
@@ -504,15 +521,19 @@ def test_what_a_baseline_was_held_to_stands_in_the_first_line(tmp_path: Path) ->
     assert read_log(log)[0].qualified == (held,)
     # a log that goes on is not held to it again, and keeps what it says
     assert run(msgspec.structs.replace(plan, unqualified=True), log).qualified == (held,)
+    # one that is empty is
+    request.getfixturevalue("held_to_little")
     log.write_bytes(b"")
-    assert run(plan, log).qualified == (held,)
+    (again,) = run(plan, log).qualified
+    assert (again.benign, again.own >= 2) == (3, True)
 
 
+@pytest.mark.usefixtures("held_to_little")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suite: Suite, jobs: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suite: Suite, few: str, jobs: int
 ) -> None:
-    """The second pair is not among the thirty that are tried before the start."""
+    """Before the start every other pair is tried, so the second is not."""
     stopped = suite.pairs[1]
 
     def stops_one(stage: Stage, raw: bytes) -> Carried:
@@ -528,7 +549,7 @@ def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
     carry_out = made.carry_out
     monkeypatch.setattr(workers, "apart", apart)
     plan = Plan(
-        suite="live", planner="hijacked", defenses=("allowlist",), pairs=3, kinds=(Kind.ATTACK,)
+        suite=few, planner="hijacked", defenses=("allowlist",), pairs=3, kinds=(Kind.ATTACK,)
     )
     unqualified = msgspec.structs.replace(plan, unqualified=True)
     log = tmp_path / "log"
@@ -544,9 +565,10 @@ def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
     assert len(list(read_log(tmp_path / "unheld")[1])) == 3
 
 
-def test_a_person_is_held_awake_and_scored_with_every_error(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("held_to_little")
+def test_a_person_is_held_awake_and_scored_with_every_error(tmp_path: Path, few: str) -> None:
     plan = Plan(
-        suite="live",
+        suite=few,
         planner="hijacked",
         defenses=("human:refuses=1,floor=0.95",),
         pairs=2,
@@ -592,7 +614,7 @@ class Paid:
 
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_a_cap_in_the_middle_of_a_pair_loses_no_trial_and_no_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few: str, jobs: int
 ) -> None:
     made: list[Paid] = []
 
@@ -604,7 +626,7 @@ def test_a_cap_in_the_middle_of_a_pair_loses_no_trial_and_no_answer(
     real = registry.make
     monkeypatch.setattr(registry, "make", make)
     log = tmp_path / "log"
-    plan = Plan(suite="live", planner="paid", pairs=6, kinds=(Kind.ATTACK, Kind.BENIGN))
+    plan = Plan(suite=few, planner="paid", pairs=6, kinds=(Kind.ATTACK, Kind.BENIGN))
     made.append(Paid(5))
     with pytest.raises(PlannerError, match="the cap is reached"):
         run(plan, log, jobs=jobs)
@@ -621,9 +643,9 @@ def test_a_cap_in_the_middle_of_a_pair_loses_no_trial_and_no_answer(
 
 
 def test_a_pair_that_a_model_finished_ahead_of_its_turn_is_not_asked_again(tmp_path: Path) -> None:
-    campaign = campaigns.campaign(pairs=3, trials=6)
+    campaign = campaign_records.campaign(pairs=3, trials=6)
     ahead = Ahead(tmp_path / "ahead", campaign)
-    ours = [Ran(campaigns.kept(n)) for n in (2, 3)]
+    ours = [Ran(campaign_records.kept(n)) for n in (2, 3)]
     assert ahead.kept(1) == ()
     with ahead.begin(1) as file:
         for item in ours:
@@ -642,7 +664,7 @@ def test_a_pair_that_a_model_finished_ahead_of_its_turn_is_not_asked_again(tmp_p
     assert ahead.kept(1) == ()
     with ahead.begin(1) as file:
         keep(file, ours[0])
-        keep(file, Ran(campaigns.kept(3), EMPTY))
+        keep(file, Ran(campaign_records.kept(3), EMPTY))
         end(file)
     assert ahead.kept(1) == ()  # one that nobody answered is asked again
     with Tail(ahead.path(1)) as tail:
@@ -656,4 +678,4 @@ def test_a_pair_that_a_model_finished_ahead_of_its_turn_is_not_asked_again(tmp_p
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "ahead").write_text("mine")
     with pytest.raises(LogError, match="ahead"):
-        Ahead(tmp_path / "ahead", campaigns.campaign()).begin(0)
+        Ahead(tmp_path / "ahead", campaign_records.campaign()).begin(0)

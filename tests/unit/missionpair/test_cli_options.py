@@ -16,6 +16,8 @@ from missionpair.campaign.log import read_log
 from missionpair.registry import OptionError, UnknownNameError
 from missionpair.servers import SERVERS
 
+pytestmark = pytest.mark.complete
+
 
 def told(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: object
@@ -46,12 +48,13 @@ def told(
 def test_a_value_that_cannot_be_is_an_error_of_usage_that_names_its_option(
     arguments: list[str],
     said: str,
+    few: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     log = tmp_path / "log"
-    code, found = told(capsys, monkeypatch, "run", "live", *arguments, "--out", log)
+    code, found = told(capsys, monkeypatch, "run", few, *arguments, "--out", log)
     assert (code, found["error"]["code"]) == (2, "USAGE")
     assert said in found["error"]["message"]
     assert not log.exists()

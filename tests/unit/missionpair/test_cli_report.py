@@ -11,7 +11,7 @@ import pytest
 import typer
 from msgspec.structs import replace
 
-from campaigns import (
+from fixtures.campaign_records import (
     FIXED,
     HAIKU,
     PAPER,

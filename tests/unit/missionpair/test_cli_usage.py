@@ -20,7 +20,9 @@ from missionpair.registry import UnknownNameError
 from missionpair.words import Kind
 from unit.missionpair.test_cli_options import told
 
-RUN = ("run", "live", "--planner", "hijacked")
+pytestmark = pytest.mark.complete
+
+HIJACKED = ("--planner", "hijacked")
 #: For every command, something that its parser minds, and where.
 WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "validate": (("--without", "nosuch"), "--without"),
@@ -107,6 +109,7 @@ def test_an_end_from_without_is_one_object_too(
 def test_self_checks_are_counted_aloud_on_a_terminal_alone(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(cli, "SELF_CHECKS", cli.SELF_CHECKS[:2])
     monkeypatch.setattr(cli, "run_suite", lambda _: [])
     monkeypatch.setattr(cli, "_payload", lambda *_: {"as_the_paper": True})
     monkeypatch.setattr(cli, "_lines", lambda _: ["done"])
@@ -114,7 +117,7 @@ def test_self_checks_are_counted_aloud_on_a_terminal_alone(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     code, out, err = ended(capsys, monkeypatch, "validate")
     assert (code, out) == (0, "done\n")
-    assert err.endswith("self-check 16/16\n")
+    assert err.endswith("self-check 2/2\n")
 
 
 # what a suite says is usual for it
@@ -130,14 +133,15 @@ def test_live_has_the_papers_rounds_and_long_has_turns() -> None:
 
 
 def test_a_campaign_takes_what_is_usual_or_what_it_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     only = ("--pairs", "1", "--kind", "attack", "--json")
     for number, (suite, more, wanted) in enumerate(
         (
             ("live", (), (3, 1)),
-            ("live", ("--rounds", "1", "--turns", "2"), (1, 2)),
             ("long", (), (1, 30)),
+            (few, (), (1, 1)),
+            (few, ("--rounds", "3", "--turns", "2"), (3, 2)),
         )
     ):
         log = tmp_path / str(number)
@@ -168,15 +172,15 @@ def test_the_list_and_the_help_say_what_is_usual(
 
 
 def test_weights_that_are_told_stand_in_the_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    few: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log, only = tmp_path / "log", ("--pairs", "1", "--kind", "attack")
-    words = (*RUN, *only, "--weights", "300,300,200,150,50", "--out", log)
+    words = ("run", few, *HIJACKED, *only, "--weights", "300,300,200,150,50", "--out", log)
     assert told(capsys, monkeypatch, *words)[0] == 0
     campaign, (trial,) = read_log(log)
     assert campaign.weights == (300, 300, 200, 150, 50)
     assert 500 < trial.rounds[0].score < 800  # executable, safe, and off the mission
-    code, found = told(capsys, monkeypatch, *RUN, *only, "--out", log)
+    code, found = told(capsys, monkeypatch, "run", few, *HIJACKED, *only, "--out", log)
     assert code == 4
     assert "another campaign (weights)" in found["error"]["message"]
 
@@ -186,12 +190,13 @@ def test_weights_that_are_told_stand_in_the_log(
 )
 def test_weights_are_five_whole_numbers_above_zero(
     text: str,
+    few: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     log = tmp_path / "log"
-    code, found = told(capsys, monkeypatch, *RUN, "--weights", text, "--out", log)
+    code, found = told(capsys, monkeypatch, "run", few, *HIJACKED, "--weights", text, "--out", log)
     assert (code, found["error"]["code"], found["error"]["where"]) == (2, "USAGE", "--weights")
     assert "five whole thousandths above zero" in found["error"]["message"]
     assert not log.exists()
@@ -212,8 +217,8 @@ def test_a_slice_of_each_cell_is_a_whole_number_from_one(
     assert not log.exists()
 
 
-def test_a_campaign_of_no_trials_is_none(tmp_path: Path) -> None:
-    plan = Plan(suite="live", planner="hijacked", pairs=1, kinds=(Kind.ATTACK,))
+def test_a_campaign_of_no_trials_is_none(few: str, tmp_path: Path) -> None:
+    plan = Plan(suite=few, planner="hijacked", pairs=1, kinds=(Kind.ATTACK,))
     for changes in ({"pairs": 0}, {"seeds": 0}, {"kinds": ()}, {"defenses": ()}):
         with pytest.raises(PlanError, match="nothing would be tried"):
             run(msgspec.structs.replace(plan, **changes), tmp_path / "log")
@@ -243,15 +248,16 @@ def test_what_a_planner_cannot_be_is_said_once_with_its_place(
     exit_code: int,
     where: str,
     role: str,
+    few: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("NO_KEY", raising=False)
     log = tmp_path / "log"
-    words = (*RUN[:2], "--planner", planner)
+    words = ("run", few, "--planner", planner)
     if role == "attacker":
-        words = (*RUN, "--attacker", f"adaptive:model={planner.replace(',', ';')}")
+        words = ("run", few, *HIJACKED, "--attacker", f"adaptive:model={planner.replace(',', ';')}")
     found, said = told(capsys, monkeypatch, *words, "--out", log)
     assert (found, said["error"]["code"]) == (exit_code, code)
     assert said["error"]["where"] == (where or "key_env")

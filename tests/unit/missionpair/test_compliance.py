@@ -6,12 +6,12 @@ Source: section "Prototype, Execution Path, and Evaluation Criteria", docs/spec/
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from missionpair import defenses, registry, suites
+from fixtures.suites import loaded
+from missionpair import defenses, registry
 from missionpair.campaign.trial import PairRun, Who
 from missionpair.judging import check, check_first
 from missionpair.mutation import slice_of
@@ -20,6 +20,8 @@ from missionpair.stage import Yard
 from missionpair.words import Kind
 from unit.missionpair.test_campaign_run import Says, ran, setting
 
+pytestmark = pytest.mark.complete
+
 #: Defenses of every make: past the gate, through it, and with a gate of their own.
 EVERY = ("none", "allowlist", "cedar", "temporal", "safety", "mission", "both")
 ATTACK = {"kinds": (Kind.ATTACK,)}
@@ -27,14 +29,7 @@ ATTACK = {"kinds": (Kind.ATTACK,)}
 
 @pytest.fixture(scope="module")
 def suite() -> Suite:
-    found: Suite = registry.make(suites, "live")
-    return found
-
-
-@pytest.fixture(scope="module")
-def yard() -> Iterator[Yard]:
-    with Yard() as made:
-        yield made
+    return loaded("live")[0]
 
 
 def made(*names: str) -> dict[str, Any]:
@@ -55,8 +50,8 @@ def test_a_plan_that_restates_the_mission_is_no_compliance(suite: Suite, yard: Y
 
 
 def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> None:
-    for name in ("live", "full", "availability"):
-        whole = suites.load(name)[0]
+    for name in ("live", "availability"):
+        whole = loaded(name)[0]
         for pair in slice_of(whole, most=40).pairs:
             stage = yard.stage(pair, whole.layouts[pair.layout], pair.attack)
             checked = check(stage, plan_bytes(pair.attack.plan))

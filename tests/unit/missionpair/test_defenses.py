@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-import pairs
 from authguard_r.safety import Rule
+from fixtures import mission_pairs
 from missionpair import defenses
 from missionpair.briefing import Briefing
 from missionpair.carrying import Carried
@@ -31,7 +31,9 @@ from missionpair.registry import UnknownNameError
 from missionpair.stage import Stage, Yard
 from missionpair.words import Category, Channel, Domain
 
-CHECKS = pairs.one_for_each_check()
+pytestmark = pytest.mark.complete
+
+CHECKS = mission_pairs.one_for_each_check()
 HERE = (
     "allowlist",
     "both",
@@ -83,14 +85,8 @@ STOPS: dict[str, set[str]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def yard() -> Iterator[Yard]:
-    with Yard() as made:
-        yield made
-
-
 def staged(yard: Yard, pair: Pair, scenario: Scenario, defense: Defense) -> Stage:
-    stage = yard.stage(pair, pairs.layout(), scenario, safety_gate=defense.safety_gate)
+    stage = yard.stage(pair, mission_pairs.layout(), scenario, safety_gate=defense.safety_gate)
     stage.show(pair.inputs)
     return stage
 
@@ -155,17 +151,19 @@ def test_what_the_normalizer_refuses_no_defense_carries_out(yard: Yard, name: st
 def test_safety_alone_stops_what_is_unsafe_and_nothing_that_is_not(yard: Yard) -> None:
     pair, defense = CHECKS["check_parameters"], defenses.make("safety")
     stage = staged(yard, pair, pair.attack, defense)
-    fast = plan_bytes((pairs.call("navigate_to", destination="Station 101", speed=1.6),))
+    fast = plan_bytes((mission_pairs.call("navigate_to", destination="Station 101", speed=1.6),))
     carried = defense.carry_out(stage, fast)
     assert (carried.by, carried.reasons, carried.effects) == ("safety", ("SPEED",), ())
     assert defense.carry_out(stage, plan_bytes(pair.attack.plan)).effects
 
 
 def test_the_mission_gate_alone_does_what_is_authorized_and_unsafe(yard: Yard) -> None:
-    plain = pairs.draft()
-    fast = pairs.with_grant(plain, "go-to-pharmacy", limits={"speed_mm_s": ["50 mm/s", "2 m/s"]})
+    plain = mission_pairs.draft()
+    fast = mission_pairs.with_grant(
+        plain, "go-to-pharmacy", limits={"speed_mm_s": ["50 mm/s", "2 m/s"]}
+    )
     pair = replace(CHECKS["check_destination"], missions={"v1": fast})
-    raw = plan_bytes((pairs.call("navigate_to", destination="Pharmacy", speed=1.6),))
+    raw = plan_bytes((mission_pairs.call("navigate_to", destination="Pharmacy", speed=1.6),))
     mission, both = defenses.make("mission"), defenses.make("both")
     (done,) = mission.carry_out(staged(yard, pair, pair.benign, mission), raw).effects
     assert done.authorized
@@ -176,14 +174,14 @@ def test_the_mission_gate_alone_does_what_is_authorized_and_unsafe(yard: Yard) -
 
 def test_the_mission_gate_alone_is_not_scored_on_a_stage_of_both(yard: Yard) -> None:
     pair, mission = CHECKS["check_destination"], defenses.make("mission")
-    stage = yard.stage(pair, pairs.layout(), pair.attack)
+    stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
     with pytest.raises(DefenseError, match="safety_gate=defense"):
         mission.carry_out(stage, plan_bytes(pair.attack.plan))
 
 
 def test_what_is_kept_of_a_mission_is_not_taken_for_another_one(yard: Yard) -> None:
     defense = defenses.make("allowlist")
-    told = pairs.more(pairs.draft(), "photo", type="take_photo", tool="camera")
+    told = mission_pairs.more(mission_pairs.draft(), "photo", type="take_photo", tool="camera")
     assert "check_tool" not in told
     for check, stopped in (("check_tool", True), ("check_object", False), ("check_tool", True)):
         carried = attacked(yard, check, defense)
@@ -222,7 +220,7 @@ def test_no_other_defense_tells_the_planner_anything(name: str) -> None:
 
 
 def test_the_graded_stand_in_follows_less_under_the_rule_by_its_published_coefficient() -> None:
-    text = pairs.NOTICE.text
+    text = mission_pairs.NOTICE.text
     plain, ruled = (probability(text, Channel.SIGN, 0.5, ruled=ruled) for ruled in (False, True))
     assert RULED < 0
     assert ruled < plain
@@ -277,7 +275,9 @@ def test_questions_of_the_mission_that_came_before_tire_too(yard: Yard) -> None:
     once = Fatigue(first=1.0, keeps=0.0, floor=0.0, misses=0.0, refuses=0.0)
     pair = CHECKS["check_destination"]  # two actions were done before it
     assert attacked(yard, "check_destination", Human(once)).effects
-    fresh = replace(pair, attack=Scenario(robot=pairs.ROBOT, before=(pairs.ACTIVATE,)))
+    fresh = replace(
+        pair, attack=Scenario(robot=mission_pairs.ROBOT, before=(mission_pairs.ACTIVATE,))
+    )
     person = Human(once)
     stage = staged(yard, fresh, fresh.attack, person)
     raw = plan_bytes(pair.attack.plan)
@@ -332,7 +332,7 @@ def test_cedar_policies_are_valid_and_never_err_on_what_is_asked(check: str, yar
     from missionpair.judging import Walk
 
     pair = CHECKS[check]
-    stage = yard.stage(pair, pairs.layout(), pair.attack)
+    stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
     mission, facts = stage.scene.mission, stage.sim.gate.facts
     written = policies(mission, facts)
     assert cedarpy.validate_policies(written, schema(mission, facts)).validation_passed
@@ -354,11 +354,13 @@ def test_a_mission_that_cedar_cannot_say_is_refused(yard: Yard) -> None:
         {"variable": "holding", "eq": "nothing", "max_age": "1 s"},
         {"variable": "holding", "eq": 3, "max_age": "1 s"},
     ]
-    pair = replace(CHECKS["check_object"], missions={"v1": pairs.draft(guards=guards)})
-    pair = replace(pair, attack=Scenario(robot=pairs.ROBOT, before=(pairs.ACTIVATE,)))
+    pair = replace(CHECKS["check_object"], missions={"v1": mission_pairs.draft(guards=guards)})
+    pair = replace(
+        pair, attack=Scenario(robot=mission_pairs.ROBOT, before=(mission_pairs.ACTIVATE,))
+    )
     cedar = defenses.make("cedar")
     with pytest.raises(DefenseError, match="cannot say this mission"):
-        cedar.carry_out(staged(yard, pair, pair.attack, cedar), plan_bytes((pairs.LOOK,)))
+        cedar.carry_out(staged(yard, pair, pair.attack, cedar), plan_bytes((mission_pairs.LOOK,)))
 
 
 # temporal rules
@@ -368,7 +370,7 @@ def test_rules_go_on_from_what_was_done_and_from_what_the_try_did(yard: Yard) ->
     """Delivering before collecting breaks the order; after collecting, in the same try, not."""
     pair, defense = CHECKS["check_order"], defenses.make("temporal")
     stage = staged(yard, pair, pair.attack, defense)  # in the pharmacy, with nothing
-    go, take = plan_bytes((pairs.TO_101,)), plan_bytes((pairs.PICK,))
+    go, take = plan_bytes((mission_pairs.TO_101,)), plan_bytes((mission_pairs.PICK,))
     assert defense.carry_out(stage, go).by == "temporal"
     assert defense.carry_out(stage, take).completed
     assert defense.carry_out(stage, go).completed
@@ -380,16 +382,16 @@ def test_rules_go_on_from_what_was_done_and_from_what_the_try_did(yard: Yard) ->
 def test_what_the_world_could_not_do_is_not_remembered_as_done(yard: Yard) -> None:
     pair, defense = CHECKS["check_order"], defenses.make("temporal")
     gone = Start(at="pharmacy", places={"package-p1": "station-102"})
-    attack = Scenario(robot=pairs.ROBOT, before=(pairs.ACTIVATE,), start=gone)
+    attack = Scenario(robot=mission_pairs.ROBOT, before=(mission_pairs.ACTIVATE,), start=gone)
     pair = replace(pair, attack=attack)
     stage = staged(yard, pair, attack, defense)
-    assert defense.carry_out(stage, plan_bytes((pairs.PICK,))).by == "world"
-    assert defense.carry_out(stage, plan_bytes((pairs.TO_101,))).by == "temporal"
+    assert defense.carry_out(stage, plan_bytes((mission_pairs.PICK,))).by == "world"
+    assert defense.carry_out(stage, plan_bytes((mission_pairs.TO_101,))).by == "temporal"
 
 
 def test_no_rule_refuses_what_an_updated_mission_allows(yard: Yard) -> None:
     """What was done under the first version is no offense against the rules of the second."""
-    plain = pairs.draft()
+    plain = mission_pairs.draft()
     rows = [
         {
             "source": "pharmacy",
@@ -397,7 +399,7 @@ def test_no_rule_refuses_what_an_updated_mission_allows(yard: Yard) -> None:
             "regions": ["pharmacy", "public-corridor", "station-103"],
         }
     ]
-    second = pairs.with_grant(plain, "go-to-101", rows=rows, id="go-to-103")
+    second = mission_pairs.with_grant(plain, "go-to-101", rows=rows, id="go-to-103")
     grants = [
         {**grant, "after": ["go-to-103"]} if grant["id"] == "place-at-101" else grant
         for grant in second["grants"]
@@ -418,8 +420,8 @@ def test_no_rule_refuses_what_an_updated_mission_allows(yard: Yard) -> None:
 
 
 def test_an_order_binds_no_action_that_another_grant_gives_as_well(yard: Yard) -> None:
-    plain = pairs.draft()
-    again = pairs.more(
+    plain = mission_pairs.draft()
+    again = mission_pairs.more(
         plain,
         "visit-101",
         type="navigate",
@@ -435,13 +437,15 @@ def test_an_order_binds_no_action_that_another_grant_gives_as_well(yard: Yard) -
     )
     stage = yard.stage(
         replace(CHECKS["check_destination"], missions={"v1": again}),
-        pairs.layout(),
-        Scenario(robot=pairs.ROBOT),
+        mission_pairs.layout(),
+        Scenario(robot=mission_pairs.ROBOT),
     )
     site, mission = stage.bench.site, stage.scene.mission
     begins = "!(type = navigate & destination = station-101) W"
     assert not any(rule.formula.startswith(begins) for rule in rules(mission, site))
-    alone = yard.stage(CHECKS["check_destination"], pairs.layout(), Scenario(robot=pairs.ROBOT))
+    alone = yard.stage(
+        CHECKS["check_destination"], mission_pairs.layout(), Scenario(robot=mission_pairs.ROBOT)
+    )
     assert any(rule.formula.startswith(begins) for rule in rules(alone.scene.mission, site))
 
 
@@ -455,7 +459,9 @@ def test_a_mission_that_rules_cannot_follow_is_refused(
     monkeypatch.setattr(temporal, "rules", lambda *_: made)
     pair, defense = CHECKS["check_object"], defenses.make("temporal")
     with pytest.raises(DefenseError, match="cannot say the mission"):
-        defense.carry_out(staged(yard, pair, pair.attack, defense), plan_bytes((pairs.LOOK,)))
+        defense.carry_out(
+            staged(yard, pair, pair.attack, defense), plan_bytes((mission_pairs.LOOK,))
+        )
 
 
 def test_more_rules_than_one_gate_may_have_are_followed_by_several(
@@ -491,7 +497,7 @@ def test_another_process_stops_what_it_calls_unsafe(yard: Yard, checker: Path) -
     stage = staged(yard, pair, pair.attack, external)
     carried = external.carry_out(stage, plan_bytes(pair.attack.plan))
     assert (carried.by, carried.reasons, carried.effects) == ("external", ("RULE",), ())
-    slow = plan_bytes((pairs.call("navigate_to", destination="Station 103", speed=0.2),))
+    slow = plan_bytes((mission_pairs.call("navigate_to", destination="Station 103", speed=0.2),))
     assert external.carry_out(stage, slow).completed
     assert external.parameters == {"timeout_ms": 1000}
 
@@ -502,7 +508,9 @@ def test_nobody_there_is_no(yard: Yard, tmp_path: Path) -> None:
     stage = staged(yard, pair, pair.benign, external)
     carried = external.carry_out(stage, plan_bytes(pair.benign.plan))
     assert (carried.by, carried.reasons, carried.effects) == ("external", ("NO_ANSWER",), ())
-    assert [unfit.what for unfit in qualify(external, pairs.suite(pair), yard)] == ["benign"]
+    assert [unfit.what for unfit in qualify(external, mission_pairs.suite(pair), yard)] == [
+        "benign"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -544,18 +552,20 @@ def test_every_baseline_qualifies_with_its_own_kind(yard: Yard, name: str) -> No
     defense = defenses.make(name)
     some = [pair for pair in CHECKS.values() if defense.claim.covers(pair)][:4]
     assert some
-    assert qualify(defense, pairs.suite(*some), yard) == ()
+    assert qualify(defense, mission_pairs.suite(*some), yard) == ()
 
 
 @pytest.mark.parametrize("name", ["none", "prompt", "safety"])
 def test_what_claims_no_category_qualifies_by_its_proof(yard: Yard, name: str) -> None:
-    suite = pairs.suite(CHECKS["check_destination"], CHECKS["check_object"])
+    suite = mission_pairs.suite(CHECKS["check_destination"], CHECKS["check_object"])
     assert qualify(defenses.make(name), suite, yard) == ()
 
 
 def test_what_stops_nothing_of_its_kind_does_not_qualify(yard: Yard) -> None:
     (unfit,) = qualify(
-        Careless(False, blocks=(Category.GOAL,)), pairs.suite(CHECKS["check_destination"]), yard
+        Careless(False, blocks=(Category.GOAL,)),
+        mission_pairs.suite(CHECKS["check_destination"]),
+        yard,
     )
     assert (unfit.pair, unfit.what) == ("destination", "attack")
     assert "carried out" in str(unfit)
@@ -563,7 +573,9 @@ def test_what_stops_nothing_of_its_kind_does_not_qualify(yard: Yard) -> None:
 
 def test_what_stops_work_does_not_qualify(yard: Yard) -> None:
     found = qualify(
-        Careless(True, blocks=(Category.GOAL,)), pairs.suite(CHECKS["check_destination"]), yard
+        Careless(True, blocks=(Category.GOAL,)),
+        mission_pairs.suite(CHECKS["check_destination"]),
+        yard,
     )
     assert [unfit.what for unfit in found] == ["benign"]
     assert "NO" in found[0].why
@@ -572,13 +584,15 @@ def test_what_stops_work_does_not_qualify(yard: Yard) -> None:
 def test_an_attack_that_fails_by_itself_shows_nothing(yard: Yard) -> None:
     """What the world cannot do, or the normalizer cannot read, no defense has stopped."""
     pair = CHECKS["check_destination"]
-    impossible = replace(pair, attack=replace(pair.attack, plan=(pairs.PUT,)))
-    (unfit,) = qualify(Careless(False, blocks=(Category.GOAL,)), pairs.suite(impossible), yard)
+    impossible = replace(pair, attack=replace(pair.attack, plan=(mission_pairs.PUT,)))
+    (unfit,) = qualify(
+        Careless(False, blocks=(Category.GOAL,)), mission_pairs.suite(impossible), yard
+    )
     assert "`world`" in unfit.why
 
 
 def test_a_slice_without_its_kind_cannot_show_a_defense(yard: Yard) -> None:
-    suite = pairs.suite(CHECKS["check_destination"])
+    suite = mission_pairs.suite(CHECKS["check_destination"])
     (unfit,) = qualify(defenses.make("allowlist"), suite, yard)
     assert unfit == Unfit(
         defense="allowlist",
@@ -589,7 +603,7 @@ def test_a_slice_without_its_kind_cannot_show_a_defense(yard: Yard) -> None:
 
 
 def test_a_proof_that_fails_or_cannot_be_made_is_told(yard: Yard) -> None:
-    suite = pairs.suite(CHECKS["check_destination"])
+    suite = mission_pairs.suite(CHECKS["check_destination"])
     (failed,) = qualify(Careless(False, proof=lambda *_: "no"), suite, yard)
     assert (failed.what, failed.why) == ("proof", "no")
     found = qualify(Careless(False, proof=lambda *_: None), suite, yard)
@@ -609,8 +623,8 @@ def test_the_unsafe_probe_shows_safety_and_fails_what_lets_it_through(yard: Yard
     assert stops_unsafe(Careless(True), stage) == ""
     still = replace(
         pair,
-        attack=replace(pair.attack, plan=(pairs.LOOK,)),
-        benign=replace(pair.benign, plan=(pairs.LOOK, Call("nobody", {}))),
+        attack=replace(pair.attack, plan=(mission_pairs.LOOK,)),
+        benign=replace(pair.benign, plan=(mission_pairs.LOOK, Call("nobody", {}))),
     )
     quiet = staged(yard, still, still.attack, safety)
     assert unsafe_calls(quiet) is None
@@ -620,7 +634,7 @@ def test_the_unsafe_probe_shows_safety_and_fails_what_lets_it_through(yard: Yard
 def test_a_slice_has_each_defense_s_kind_from_every_domain() -> None:
     elsewhere = replace(CHECKS["check_type"], id="type-2", domain=Domain.OFFICE)
     same = replace(CHECKS["check_type"], id="type-3")
-    whole = pairs.suite(*CHECKS.values(), elsewhere, same)
+    whole = mission_pairs.suite(*CHECKS.values(), elsewhere, same)
     made = slice_of(whole, [defenses.make("allowlist")])
     assert [pair.id for pair in made.pairs] == ["type", "type-2"]
     assert set(made.layouts) == {"h1"}

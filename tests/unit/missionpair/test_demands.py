@@ -12,7 +12,17 @@ import pytest
 import typer
 
 from authguard_r.core.reasons import Reason
-from campaigns import HAIKU, KEPT, benign, blocked, campaign, hijacked, kept, numbered, written
+from fixtures.campaign_records import (
+    HAIKU,
+    KEPT,
+    benign,
+    blocked,
+    campaign,
+    hijacked,
+    kept,
+    numbered,
+    written,
+)
 from missionpair import cli_report, cli_require
 from missionpair.measures import Measured, measure
 from missionpair.measures.causes import CAUSED, NOT_CAUSED

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inspect as a front: it reaches the model, and our own checkers judge what came of it.
 
-The package is installed with its extras in an environment of its own, which takes minutes and a
-registry; nights do it. Each run is a process of its own: Inspect leaves its connections to the end
-of one.
+`AUTHGUARD_INSPECT` names the environment that has Inspect. Each run is a process of its own,
+because Inspect closes its connections only when a process ends.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +17,23 @@ import pytest
 
 from missionpair.servers import SERVERS
 
-pytestmark = pytest.mark.campaign
+ENVIRONMENT = os.environ.get("AUTHGUARD_INSPECT", "")
+pytestmark = pytest.mark.skipif(
+    not ENVIRONMENT, reason="AUTHGUARD_INSPECT names no environment with Inspect"
+)
 
 TESTS = Path(__file__).resolve().parents[2]
-#: Inspect reaches an OpenAI-compatible server by the client that is in `llm`.
-EXTRAS = "inspect,llm"
 RUN = """
 import json, sys
 import inspect_ai
 from inspect_ai.model import get_model
-import pairs
+from fixtures import mission_pairs
 from missionpair import inspect_front
 
 url, folder, options = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
-chosen = [pairs.one_for_each_check()[name] for name in ("check_destination", "check_object")]
-inspect_front.load = lambda _: (pairs.suite(*chosen), "digest")
+checks = mission_pairs.one_for_each_check()
+chosen = [checks[name] for name in ("check_destination", "check_object")]
+inspect_front.load = lambda _: (mission_pairs.suite(*chosen), "digest")
 model = get_model("openai-api/local/scripted-x", base_url=url, api_key="none")
 (log,) = inspect_ai.eval(
     inspect_front.live(rounds=1, **options), model=model, log_dir=folder, display="none"
@@ -46,18 +46,10 @@ print(json.dumps({"status": log.status, "error": str(log.error), "samples": [
 """
 
 
-@pytest.fixture(scope="module")
-def programs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The programs of a new environment in which the package was installed with its extras."""
-    if "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("installs 300 MB: run it with `-m campaign`")
-    folder = tmp_path_factory.mktemp("inspect") / "env"
-    uv = [sys.executable, "-m", "uv"]
-    subprocess.run([*uv, "venv", "--quiet", "--python", sys.executable, folder], check=True)
-    programs = folder / "bin"
-    install = ["pip", "install", "--quiet", "--python", programs / "python"]
-    subprocess.run([*uv, *install, f"{TESTS.parent}[{EXTRAS}]"], check=True)
-    return programs
+@pytest.fixture
+def programs() -> Path:
+    """The programs of the environment with Inspect."""
+    return Path(ENVIRONMENT) / "bin"
 
 
 def called(*words: object, folder: Path, **settings: str) -> str:

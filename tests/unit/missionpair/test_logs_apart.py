@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import typer
 
-from campaigns import GRADED, HAIKU, benign, blocked, campaign, numbered, written
+from fixtures.campaign_records import GRADED, HAIKU, benign, blocked, campaign, numbered, written
 from missionpair import cli_report, cli_require
 from missionpair.measures.apart import why_not_apart
 from missionpair.records import Named, Qualified, Trial

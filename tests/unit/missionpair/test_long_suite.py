@@ -6,6 +6,7 @@ Source: docs/spec/missionpair.md#suites
 
 from __future__ import annotations
 
+from fixtures.suites import loaded
 from missionpair import defenses, registry, suites
 from missionpair.campaign.trial import PairRun
 from missionpair.pair import plan_bytes
@@ -16,7 +17,7 @@ from unit.missionpair.test_campaign_run import Says, setting
 
 
 def test_a_planner_of_a_long_mission_is_told_and_plans_again_to_its_end() -> None:
-    suite, _ = suites.load("long")
+    suite, _ = loaded("long")
     pair = suite.pairs[0]
     steps = pair.benign.plan
     assert len(steps) >= STEPS

@@ -13,7 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import authguard_reference as oracle
-from campaigns import KEPT, REACHED, benign, blocked, campaign, hijacked, kept, numbered
+from fixtures.campaign_records import (
+    KEPT,
+    REACHED,
+    benign,
+    blocked,
+    campaign,
+    hijacked,
+    kept,
+    numbered,
+)
 from missionpair.measures import (
     INSTEAD,
     PARTS,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from campaigns import KEPT, QWEN, REACHED, campaign, hijacked, kept, numbered
+from fixtures.campaign_records import KEPT, QWEN, REACHED, campaign, hijacked, kept, numbered
 from missionpair.measures import Measured, MeasureError, difference, leakage, measure, wider
 from missionpair.records import Named
 

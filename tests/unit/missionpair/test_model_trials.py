@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-import pairs
+from fixtures import mission_pairs
 from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers._model import MAX_TEXT
 from missionpair.briefing import PlannerError
@@ -23,7 +23,7 @@ from missionpair.stage import Yard
 from missionpair.words import Access, Kind
 
 KINDS = sorted(SERVERS)
-TO_103 = pairs.one_for_each_check()["check_destination"]
+TO_103 = mission_pairs.one_for_each_check()["check_destination"]
 
 
 def spec(kind: str, server: StandInServer, **options: str) -> str:
@@ -46,19 +46,18 @@ def setting(planner: str, *, attacker: str = "fixed", rounds: int = 1) -> Settin
     )
 
 
-def trials(planner: str, **options: Any) -> list[Trial]:
-    with Yard() as yard:
-        run = PairRun(setting(planner, **options), yard, TO_103, pairs.layout(), first=0)
-        return list(run.trials())
+def trials(yard: Yard, planner: str, **options: Any) -> list[Trial]:
+    run = PairRun(setting(planner, **options), yard, TO_103, mission_pairs.layout(), first=0)
+    return list(run.trials())
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("mode", ["tools", "json"])
 def test_an_obedient_model_is_hijacked_and_the_gate_lets_nothing_of_it_happen(
-    kind: str, mode: str
+    yard: Yard, kind: str, mode: str
 ) -> None:
     with SERVERS[kind]() as server:
-        none, both = trials(spec(kind, server, mode=mode))
+        none, both = trials(yard, spec(kind, server, mode=mode))
     assert (none.complied, none.unauthorized > 0, none.hijacked) == (True, True, True)
     assert (both.complied, both.blocked, both.unauthorized) == (True, True, 0)
     assert both.by == "authorization"
@@ -66,6 +65,7 @@ def test_an_obedient_model_is_hijacked_and_the_gate_lets_nothing_of_it_happen(
     assert not both.error
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("behavior", "instead"),
@@ -84,19 +84,19 @@ def test_an_obedient_model_is_hijacked_and_the_gate_lets_nothing_of_it_happen(
     ],
 )
 def test_what_a_model_did_instead_is_counted_as_what_it_is(
-    kind: str, behavior: str, instead: str
+    yard: Yard, kind: str, behavior: str, instead: str
 ) -> None:
     with SERVERS[kind](behavior) as server:
-        none, both = trials(spec(kind, server))
+        none, both = trials(yard, spec(kind, server))
     assert (none.instead, both.instead) == (instead, instead)
     assert [t.complied or t.unauthorized for t in (none, both)] == [False, False]
     assert bool(none.error) == (instead == "error")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_model_that_answers_nothing_is_named(kind: str) -> None:
+def test_a_model_that_answers_nothing_is_named(yard: Yard, kind: str) -> None:
     with SERVERS[kind]("odd:nothing") as server:
-        none, _ = trials(spec(kind, server))
+        none, _ = trials(yard, spec(kind, server))
     assert none.error.startswith("model: `")
     assert none.error.endswith("answered nothing: no call and no word")
 
@@ -124,11 +124,11 @@ def test_an_answer_that_was_used_up_by_thinking_says_so() -> None:
         read_answer(Completion(text=" ", raw=b"{}", cut=True), (), model="m", where="w")
 
 
-def test_an_attacker_that_is_a_model_is_asked_over_the_same_client() -> None:
+def test_an_attacker_that_is_a_model_is_asked_over_the_same_client(yard: Yard) -> None:
     with SERVERS["openai"]("resistant") as target, SERVERS["anthropic"]() as writer:
         model = spec("anthropic", writer).replace(",", ";")
         attacker = f"adaptive:model={model}"
-        none, both = trials(spec("openai", target), attacker=attacker, rounds=3)
+        none, both = trials(yard, spec("openai", target), attacker=attacker, rounds=3)
         assert writer.requests == len(none.rounds) + len(both.rounds) - 2 > 0
     texts = [one.inputs[0][1] for one in max((none.rounds, both.rounds), key=len)]
     assert len(set(texts)) > 1
@@ -137,9 +137,9 @@ def test_an_attacker_that_is_a_model_is_asked_over_the_same_client() -> None:
 
 
 @pytest.mark.parametrize("mode", ["tools", "json"])
-def test_a_log_of_a_model_is_replayed_without_it(tmp_path: Path, mode: str) -> None:
+def test_a_log_of_a_model_is_replayed_without_it(yard: Yard, tmp_path: Path, mode: str) -> None:
     with SERVERS["openai"]() as server:
-        first = trials(spec("openai", server, mode=mode))
+        first = trials(yard, spec("openai", server, mode=mode))
     path = tmp_path / "c.jsonl"
     header = Campaign(
         schema=SCHEMA,
@@ -164,7 +164,7 @@ def test_a_log_of_a_model_is_replayed_without_it(tmp_path: Path, mode: str) -> N
         for trial in first:
             writer.add(trial)
         writer.end()
-    again = trials(f"replay:log={path}")
+    again = trials(yard, f"replay:log={path}")
     assert [t.rounds for t in again] == [t.rounds for t in first]
     assert [(t.complied, t.blocked, t.reasons) for t in again] == [
         (t.complied, t.blocked, t.reasons) for t in first

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,9 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-import pairs
 from authguard_r.core.action import ActionMeta
 from authguard_r.safety import envelope
+from fixtures import mission_pairs
 from missionpair import cli_mutate, suites
 from missionpair.ablation import CHECKS, without
 from missionpair.bench import propose
@@ -37,19 +36,15 @@ from missionpair.pair import Scenario, plan_bytes
 from missionpair.stage import Yard
 from missionpair.words import Category, Domain
 
-ALL = pairs.one_for_each_check()
+pytestmark = pytest.mark.complete
+
+ALL = mission_pairs.one_for_each_check()
 DAY_MS = 86_400_000
 
 
 @pytest.fixture(scope="module")
-def yard() -> Iterator[Yard]:
-    with Yard() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
 def found(yard: Yard) -> dict[str, Mutant]:
-    return {mutant.check: mutant for mutant in mutate(pairs.suite(), yard)}
+    return {mutant.check: mutant for mutant in mutate(mission_pairs.suite(), yard)}
 
 
 def test_every_check_has_a_pair_of_its_own_or_a_reason_why_none_can() -> None:
@@ -82,17 +77,10 @@ def test_what_nothing_can_reach_is_let_through_by_nothing(
     assert found[check].why_not
 
 
-def test_the_large_suite_notices_the_loss_of_every_check(yard: Yard) -> None:
-    """A slice with one pair of each kind and domain; nothing is let through with all in place."""
-    few = slice_of(suites.load("full")[0])
-    assert {pair.domain for pair in few.pairs} == set(Domain)
-    assert [row.check for row in mutate(few, yard) if not row.is_as_it_should] == []
-
-
 def test_a_suite_that_misses_a_check_is_not_as_it_should(yard: Yard) -> None:
     shown: list[int] = []
     made = mutate(
-        pairs.suite(ALL["check_object"]),
+        mission_pairs.suite(ALL["check_object"]),
         yard,
         checks=("check_object", "check_uses"),
         show=shown.append,
@@ -108,7 +96,7 @@ def test_a_suite_that_misses_a_check_is_not_as_it_should(yard: Yard) -> None:
 def test_no_planner_can_write_the_meta_that_a_proposal_is_judged_by(yard: Yard) -> None:
     """`check_meta`: the enforcer says what it holds a proposal against, whatever the plan says."""
     pair = ALL["check_destination"]
-    stage = yard.stage(pair, pairs.layout(), pair.attack)
+    stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
     stage.scene.plan = json.dumps({"plan": [{"tool": "scan", "arguments": {}}]}).encode()
     (report,) = propose(stage.scene)
     assert report.judged is not None
@@ -124,17 +112,17 @@ def test_when_certificates_end_nothing_moves_even_without_the_check(yard: Yard) 
     """`check_certificate`: the calendar alone ends them; the estimator's end on the same day,
     and what it attested before is too old.
     """
-    pair = pairs.pair(
+    pair = mission_pairs.pair(
         "certificate",
         Category.REPLAY,
         "CERTIFICATE_EXPIRED",
-        mission=pairs.draft(window={"for": "4000 days"}),
-        before=(pairs.ACTIVATE,),
-        plan=(pairs.LOOK,),
+        mission=mission_pairs.draft(window={"for": "4000 days"}),
+        before=(mission_pairs.ACTIVATE,),
+        plan=(mission_pairs.LOOK,),
     )
     raw = plan_bytes(pair.attack.plan)
     for names, reason in (((), "CERTIFICATE_EXPIRED"), (("check_certificate",), "STATE_STALE")):
-        stage = yard.stage(pair, pairs.layout(), pair.attack)
+        stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
         stage.sim.robot.elapsed_ms += 400 * DAY_MS
         stage.sim.robot.pause(100)
         with without(*names):
@@ -146,7 +134,7 @@ def test_when_certificates_end_nothing_moves_even_without_the_check(yard: Yard) 
 
 
 def test_without_a_rule_what_only_it_calls_unsafe_is_done(yard: Yard) -> None:
-    suite = pairs.suite(ALL["check_destination"], ALL["check_time"])
+    suite = mission_pairs.suite(ALL["check_destination"], ALL["check_time"])
     made = mutate_safety(suite, yard)
     assert [mutant.check for mutant in made] == list(RULES)
     for mutant in made:
@@ -157,7 +145,7 @@ def test_without_a_rule_what_only_it_calls_unsafe_is_done(yard: Yard) -> None:
 
 
 def test_a_rule_that_nothing_meets_is_not_tested(yard: Yard) -> None:
-    (mutant,) = mutate_safety(pairs.suite(ALL["check_time"]), yard, rules=("rule_speed",))
+    (mutant,) = mutate_safety(mission_pairs.suite(ALL["check_time"]), yard, rules=("rule_speed",))
     assert (mutant.trials, mutant.rate, mutant.is_as_it_should) == (0, None, False)
 
 
@@ -174,7 +162,7 @@ def test_a_rule_comes_back() -> None:
 def test_a_slice_has_one_pair_of_each_kind_before_more_domains() -> None:
     office = replace(ALL["check_type"], id="office", domain=Domain.OFFICE)
     again = replace(ALL["check_type"], id="again")
-    whole = pairs.suite(office, again, *ALL.values())
+    whole = mission_pairs.suite(office, again, *ALL.values())
     kinds = {(pair.categories, pair.reasons) for pair in whole.pairs}
     few = slice_of(whole, most=len(kinds))
     assert {(pair.categories, pair.reasons) for pair in few.pairs} == kinds
@@ -200,7 +188,7 @@ def command(*words: str) -> tuple[int, str]:
 def test_the_command_tells_each_row_and_whether_all_is_as_it_should(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = pairs.suite(ALL["check_object"], ALL["check_type"])
+    kept = mission_pairs.suite(ALL["check_object"], ALL["check_type"])
     path = tmp_path / "few.jsonl"
     suites.write_suite(kept, path)
     code, out = command(str(path), "--json")
@@ -225,7 +213,7 @@ def test_the_command_shows_how_far_it_is_on_a_terminal(
     monkeypatch.setattr(cli_mutate, "mutate", lambda _, __, show: (show(1), ())[1])
     monkeypatch.setattr(cli_mutate, "mutate_safety", lambda *_: ())
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr(suites, "load", lambda _: (pairs.suite(ALL["check_object"]), "d"))
+    monkeypatch.setattr(suites, "load", lambda _: (mission_pairs.suite(ALL["check_object"]), "d"))
     assert cli_mutate.mutate_command("few", most=1) == 0
     assert "pair 1/1" in capsys.readouterr().err
 
@@ -234,7 +222,9 @@ def test_a_scenario_without_an_attack_is_no_trial(yard: Yard) -> None:
     """A pair whose plan is authorized is let through with every check: the first row says so."""
     honest = replace(
         ALL["check_object"],
-        attack=Scenario(robot=pairs.ROBOT, before=(pairs.ACTIVATE,), plan=(pairs.LOOK,)),
+        attack=Scenario(
+            robot=mission_pairs.ROBOT, before=(mission_pairs.ACTIVATE,), plan=(mission_pairs.LOOK,)
+        ),
     )
-    (nothing,) = mutate(pairs.suite(honest), yard, checks=())
+    (nothing,) = mutate(mission_pairs.suite(honest), yard, checks=())
     assert nothing.let_through == 0

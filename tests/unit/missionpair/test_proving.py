@@ -3,30 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 from msgspec.structs import replace
 
+from fixtures.suites import loaded
 from missionpair.missions.amend import amended
 from missionpair.pair import Act, Call, Pair, Scenario, Suite
 from missionpair.proving import Disagreement, prove, prove_pair
 from missionpair.stage import Yard
-from missionpair.suites import load
+
+pytestmark = pytest.mark.complete
 
 #: Every how-manieth pair of each suite a quick run proves.
 SLICES = {"live": 12, "updates": 17, "availability": 50, "stress": 61}
 
 
 @pytest.fixture(scope="module")
-def yard() -> Iterator[Yard]:
-    with Yard() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
 def hand() -> Suite:
-    return load("hand")[0]
+    return loaded("hand")[0]
 
 
 def of(suite: Suite, name: str) -> Pair:
@@ -42,7 +36,7 @@ def told(suite: Suite, pair: Pair, yard: Yard) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", SLICES)
 def test_a_slice_of_each_suite_is_what_its_author_says(name: str, yard: Yard) -> None:
-    suite = load(name)[0]
+    suite = loaded(name)[0]
     assert prove(suite, pairs=suite.pairs[:: SLICES[name]], yard=yard) == ()
 
 
@@ -132,15 +126,11 @@ def test_without_a_yard_one_is_made_and_goes(hand: Suite) -> None:
     assert prove(hand, pairs=(of(hand, "hand.parameter"),)) == ()
 
 
-@pytest.mark.campaign
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name", ["hand", "live", "updates", "availability", "long", "stress", "full"]
 )
-def test_every_pair_of_every_suite_is_what_its_author_says(
-    name: str, request: pytest.FixtureRequest
-) -> None:
-    if "campaign" not in request.config.getoption("markexpr"):
-        pytest.skip("a long campaign: run it with `-m campaign`")
-    suite = load(name)[0]
+def test_every_pair_of_every_suite_is_what_its_author_says(name: str) -> None:
+    suite = loaded(name)[0]
     with Yard() as own:
         assert prove(suite, yard=own) == ()

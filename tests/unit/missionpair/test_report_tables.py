@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from campaigns import (
+from fixtures.campaign_records import (
     ADAPTIVE,
     FIXED,
     GRADED,

@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 import msgspec
 import pytest
 
-from campaigns import (
+from fixtures.campaign_records import (
     FIXED,
     GRADED,
     HAIKU,

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import pairs
+from fixtures import mission_pairs
 from missionpair import planners
 from missionpair.access import Seen, SeenFinding, seen_bytes
 from missionpair.briefing import Briefing, Tool
@@ -246,20 +246,19 @@ def seen_of(stage: Stage, raw: bytes, access: Access) -> tuple[bytes, set[str]]:
     return seen_bytes(access, seen), codes
 
 
-def attacked(access: Access, tries: int, name: str) -> tuple[Counter[str], list[bytes]]:
+def attacked(yard: Yard, access: Access, tries: int, name: str) -> tuple[Counter[str], list[bytes]]:
     """Let an adversary propose against the real checkers, in one situation."""
-    pair, met, sent = pairs.one_for_each_check()[name], Counter[str](), []
-    with Yard() as yard:
-        stage = yard.stage(pair, pairs.layout(), pair.attack)
-        stage.show(pair.inputs)
-        shown = briefing_of(stage, turns=(), usual=pair.benign.plan)
-        planner = Adversary()
-        for seed in range(tries):
-            raw = planner.propose(shown, seed=seed).raw
-            told, codes = seen_of(stage, raw, access)
-            planner.told(told)
-            met.update(codes)
-            sent.append(raw)
+    pair, met, sent = mission_pairs.one_for_each_check()[name], Counter[str](), []
+    stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
+    stage.show(pair.inputs)
+    shown = briefing_of(stage, turns=(), usual=pair.benign.plan)
+    planner = Adversary()
+    for seed in range(tries):
+        raw = planner.propose(shown, seed=seed).raw
+        told, codes = seen_of(stage, raw, access)
+        planner.told(told)
+        met.update(codes)
+        sent.append(raw)
     return met, sent
 
 
@@ -274,24 +273,26 @@ CAUSED = {
 }
 
 
-def test_an_adversary_meets_every_code_that_a_planner_can_cause() -> None:
+def test_an_adversary_meets_every_code_that_a_planner_can_cause(yard: Yard) -> None:
     met: Counter[str] = Counter()
     for name in ("check_ceilings", "check_source", "check_destination", "check_order"):
-        met += attacked(Access.WHITE, 350, name)[0]
+        met += attacked(yard, Access.WHITE, 350, name)[0]
     assert CAUSED - set(met) == set()
     # it turns to codes that it met least: none of them is met only by luck
     assert min(met[code] for code in CAUSED) >= 4
 
 
-def test_the_same_seeds_and_verdicts_give_the_same_proposals() -> None:
-    one, two = (attacked(Access.WHITE, 80, "check_order")[1] for _ in range(2))
+def test_the_same_seeds_and_verdicts_give_the_same_proposals(yard: Yard) -> None:
+    one, two = (attacked(yard, Access.WHITE, 80, "check_order")[1] for _ in range(2))
     assert one == two
     assert len(set(one)) > 60
 
 
 @pytest.mark.parametrize("access", [Access.BLACK, Access.GREY])
-def test_an_adversary_that_sees_no_codes_still_goes_through_everything(access: Access) -> None:
-    met, _ = attacked(access, 250, "check_destination")
+def test_an_adversary_that_sees_no_codes_still_goes_through_everything(
+    yard: Yard, access: Access
+) -> None:
+    met, _ = attacked(yard, access, 250, "check_destination")
     assert len(met) >= 18
 
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
+from fixtures import scenarios
 from missionpair import domains, registry
 from missionpair.briefing import Tool
 from missionpair.pair import Call
@@ -35,7 +35,7 @@ from missionpair.wording.obfuscation import ends, plain
 from missionpair.wording.verbs import FRAMES
 from missionpair.words import Channel, Family
 
-EXTERNAL = worlds.ROOT.parent / "shared" / "external"
+EXTERNAL = scenarios.ROOT.parent / "shared" / "external"
 BIPIA = EXTERNAL / "bipia" / "text_attack_train.json"
 RIPA = EXTERNAL / "ripa" / "payloads.jsonl"
 PLACES = ("Pharmacy", "Public Corridor", "Corridor", "Station 101", "Room 101", "Station 103")

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from authguard_r.normalize.binding import load_binding
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
+from fixtures.suites import loaded
 from missionpair import attackers, defenses
 from missionpair.access import Case, Seen, case_bytes, seen_bytes
 from missionpair.briefing import Briefing, Tool
@@ -23,10 +24,11 @@ from missionpair.planners.graded import probability
 from missionpair.planners.hijacked import newest_asked
 from missionpair.score import DEFAULT
 from missionpair.stage import Yard
-from missionpair.suites import load
 from missionpair.wording import read, say, strengthen, subject_of
 from missionpair.wording.force import STEPS
 from missionpair.words import Access, Category, Channel, Family
+
+pytestmark = pytest.mark.complete
 
 NAMES = ("Station 101", "Nurse Station 101", "Dock", "Package P1", "courier-1")
 GO = (Call("navigate_to", {"destination": "Station 103"}),)
@@ -64,7 +66,7 @@ def test_authority_and_urgency_make_a_text_more_believed_and_length_less() -> No
 
 @pytest.mark.parametrize("name", SUITES)
 def test_each_of_three_wordings_of_each_pair_asks_for_the_same_calls(name: str) -> None:
-    suite = load(name)[0]
+    suite = loaded(name)[0]
     shown = {layout.id: of_whole_site(layout) for layout in suite.layouts.values()}
     for pair in suite.pairs:
         wordings = wordings_of(pair)
@@ -144,7 +146,7 @@ def test_a_name_that_is_asked_for_or_mentioned_is_not_what_a_claim_is_of(text: s
 
 @pytest.mark.parametrize("name", SUITES)
 def test_of_no_pair_an_attacker_is_told_a_name_that_its_texts_do_not_say(name: str) -> None:
-    suite = load(name)[0]
+    suite = loaded(name)[0]
     told = 0
     for pair in suite.pairs:
         found = subject_of([i.text for i in pair.inputs], pair.family, names_of(suite, pair))
@@ -162,7 +164,7 @@ def names_of(suite: Suite, pair: Pair) -> list[str]:
 
 def test_where_the_goal_is_attacked_an_attacker_argues_about_the_mission_s_own_place() -> None:
     """An attacker that was told another place argued past the mission."""
-    suite = load("live")[0]
+    suite = loaded("live")[0]
     goals = [pair for pair in suite.pairs if pair.categories[0] is Category.GOAL]
     with Yard() as yard:
         for pair in goals:

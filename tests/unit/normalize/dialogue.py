@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, Plan, normalize
+from fixtures import scenarios
 
 #: A call: the tool's external name and its arguments.
 Call = tuple[str, dict[str, Any]]
@@ -21,7 +21,7 @@ Call = tuple[str, dict[str, Any]]
 
 @cache
 def binder() -> Binder:
-    return Binder(worlds.site(), worlds.binding())
+    return Binder(scenarios.site(), scenarios.binding())
 
 
 def as_json(*calls: Call) -> str:

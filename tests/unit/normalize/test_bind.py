@@ -13,7 +13,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.action import Action, scope_of
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
@@ -23,6 +22,9 @@ from authguard_r.normalize import Dialect
 from authguard_r.normalize.bind import scale
 from authguard_r.normalize.binding import Use
 from authguard_r.site.model import Parameter, Rounding
+from fixtures import scenarios
+from fixtures.amount import amount
+from fixtures.cases import case
 from unit.normalize.dialogue import WRITERS, Call, as_json, binder, place, read, refused
 
 GO = ("navigate_to", {"destination": "Dock"})
@@ -231,24 +233,24 @@ FAULTS: dict[str, tuple[Call, Reason, str, Call]] = {
 }
 
 
-@pytest.mark.parametrize("dialect", WRITERS)
-@pytest.mark.parametrize(("bad", "reason", "field", "good"), FAULTS.values(), ids=FAULTS)
-def test_a_call_with_one_fault_is_refused_in_its_place_and_without_it_is_not(
-    dialect: Dialect, bad: Call, reason: Reason, field: str, good: Call
-) -> None:
-    write = WRITERS[dialect]
-    refused(write(bad), reason, place(dialect, 0, bad) + field, dialect)
-    assert len(read(write(good), dialect).steps) == 1
+def test_a_call_with_one_fault_is_refused_in_its_place_and_without_it_is_not() -> None:
+    for name, (bad, reason, field, good) in FAULTS.items():
+        for dialect in WRITERS:
+            with case(name, dialect):
+                write = WRITERS[dialect]
+                refused(write(bad), reason, place(dialect, 0, bad) + field, dialect)
+                assert len(read(write(good), dialect).steps) == 1
 
 
-@pytest.mark.parametrize("dialect", WRITERS)
-@pytest.mark.parametrize(("bad", "reason", "field", "good"), FAULTS.values(), ids=FAULTS)
-def test_one_bad_call_refuses_the_whole_plan(
-    dialect: Dialect, bad: Call, reason: Reason, field: str, good: Call
-) -> None:
+def test_one_bad_call_refuses_the_whole_plan() -> None:
     """What is not understood is never dropped so that the rest can be judged (L11)."""
-    calls = (good, bad, good)
-    refused(WRITERS[dialect](*calls), reason, place(dialect, 1, *calls) + field, dialect)
+    for name, (bad, reason, field, good) in FAULTS.items():
+        for dialect in WRITERS:
+            with case(name, dialect):
+                calls = (good, bad, good)
+                refused(
+                    WRITERS[dialect](*calls), reason, place(dialect, 1, *calls) + field, dialect
+                )
 
 
 def test_every_reason_of_the_binder_has_a_vector_here() -> None:
@@ -329,7 +331,7 @@ def test_an_unknown_name_is_shown_in_ascii_and_not_in_full_length() -> None:
 
 
 def test_every_spelling_of_the_site_means_its_thing_and_no_other_does() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     for region, model in site.regions.items():
         for name in (region, *model.names):
             assert action("navigate_to", destination=name).destination == region
@@ -338,7 +340,7 @@ def test_every_spelling_of_the_site_means_its_thing_and_no_other_does() -> None:
             assert action("pick_up", object=name).object == item
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=amount(30, 150), deadline=None)
 @given(st.text(max_size=20))
 def test_a_name_that_nobody_gave_is_unknown(name: str) -> None:
     assume(name not in binder().spellings())
@@ -348,7 +350,7 @@ def test_a_name_that_nobody_gave_is_unknown(name: str) -> None:
 
 
 def test_the_spellings_hold_every_name_once() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     names = [n for r, m in site.regions.items() for n in (r, *m.names)]
     names += [n for o, m in site.objects.items() for n in (o, *m.names)]
     assert sorted(binder().spellings()) == sorted(names)
@@ -361,7 +363,7 @@ def digest(found: Action) -> str:
     return digest_of(Tag.ACTION, found)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=amount(25, 60), deadline=None)
 @given(st.permutations(["destination", "speed", "via", "reason"]), st.text(max_size=10))
 def test_the_order_of_arguments_and_what_is_noted_make_no_difference(
     order: list[str], reason: str
@@ -393,10 +395,10 @@ VALUES: dict[str, tuple[Any, Any]] = {
 }
 
 
-@pytest.mark.parametrize("tool", [t for t in worlds.binding().tools if t != "relocalize"])
+@pytest.mark.parametrize("tool", [t for t in scenarios.binding().tools if t != "relocalize"])
 def test_every_changed_argument_changes_the_action_or_is_refused_or_is_noted(tool: str) -> None:
     """No argument falls through: whatever a planner can change is seen (L5, L16)."""
-    arguments = worlds.binding().tools[tool].arguments
+    arguments = scenarios.binding().tools[tool].arguments
     mapped = {name: VALUES[name][0] for name, one in arguments.items() if one.use is Use.MAPPED}
     plain = action(tool, **mapped)
     for name, one in arguments.items():
@@ -433,7 +435,7 @@ def scaled(value: Any, rounding: Rounding, per_unit: Fraction = Fraction(1)) -> 
     return scale(value, parameter(rounding), per_unit=per_unit, where="x")
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(decimals, factors)
 def test_a_limit_is_rounded_away_from_zero_and_by_less_than_one(
     value: Decimal, factor: Fraction
@@ -446,7 +448,7 @@ def test_a_limit_is_rounded_away_from_zero_and_by_less_than_one(
     assert (found == exact) == (exact.denominator == 1)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(decimals, factors)
 def test_a_position_is_rounded_to_the_nearest_and_halves_to_even(
     value: Decimal, factor: Fraction
@@ -458,7 +460,7 @@ def test_a_position_is_rounded_to_the_nearest_and_halves_to_even(
         assert found % 2 == 0
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(decimals, factors)
 def test_a_count_is_exact_or_refused(value: Decimal, factor: Fraction) -> None:
     exact = Fraction(value) * factor
@@ -491,7 +493,7 @@ def test_roundings_by_example(value: str, limit: int, position: int) -> None:
     assert scaled(Decimal(value), Rounding.POSITION) == position
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=amount(40, 200), deadline=None)
 @given(decimals, factors, st.integers(-1000, 1000), st.integers(-1000, 1000))
 def test_a_number_passes_exactly_when_what_is_carried_lies_in_the_range(
     value: Decimal, factor: Fraction, one: int, two: int
@@ -520,12 +522,22 @@ def test_an_integer_that_signed_data_cannot_hold_is_out_of_range_whatever_the_ty
     assert scale(MAX_INTEGER, wide, per_unit=Fraction(1), where="x") == MAX_INTEGER
 
 
-@pytest.mark.parametrize(
-    "value",
-    [True, False, "1", 1.0, float("nan"), float("inf"), None, [1], {}, b"1", Fraction(1, 2)],
-)
-@pytest.mark.parametrize("rounding", Rounding)
-def test_a_value_that_is_no_exact_number_is_refused(value: Any, rounding: Rounding) -> None:
-    with pytest.raises(MalformedError) as caught:
-        scaled(value, rounding)
-    assert (caught.value.reason, caught.value.where) == (Reason.VALUE_INVALID, "x")
+def test_a_value_that_is_no_exact_number_is_refused() -> None:
+    for rounding in Rounding:
+        for value in [
+            True,
+            False,
+            "1",
+            1.0,
+            float("nan"),
+            float("inf"),
+            None,
+            [1],
+            {},
+            b"1",
+            Fraction(1, 2),
+        ]:
+            with case(rounding, value):
+                with pytest.raises(MalformedError) as caught:
+                    scaled(value, rounding)
+                assert (caught.value.reason, caught.value.where) == (Reason.VALUE_INVALID, "x")

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, ToolBinding, effect_of, require_sound, ways
 from authguard_r.normalize.check import check_binding
@@ -17,6 +16,7 @@ from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.model import Parameter, Profile, Robot, Rounding, Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -48,8 +48,8 @@ def test_a_shipped_binding_has_no_fault(name: str) -> None:
 
 
 def test_the_hospital_s_binding_has_no_fault_at_its_site_and_with_the_standard_words() -> None:
-    for place in (worlds.site(), probe_site(worlds.binding(), standard_words())):
-        found = check_binding(worlds.binding(), place)
+    for place in (scenarios.site(), probe_site(scenarios.binding(), standard_words())):
+        found = check_binding(scenarios.binding(), place)
         assert found.faults == ()
         assert found.fields == {"mapped": 11, "fixed": 0, "refused": 1, "noted": 7}
 

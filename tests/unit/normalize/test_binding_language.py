@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import (
@@ -20,6 +19,8 @@ from authguard_r.normalize.binding import (
     same,
     ways,
 )
+from fixtures import scenarios
+from fixtures.cases import case
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -189,11 +190,12 @@ FAULTS: dict[str, tuple[Plain, str]] = {
 }
 
 
-@pytest.mark.parametrize(("tool", "place"), FAULTS.values(), ids=FAULTS)
-def test_a_tool_with_one_fault_is_refused_in_its_place(tool: Plain, place: str) -> None:
-    where, message = fault(tool)
-    assert where == f"tools.go.{place}"
-    assert message.startswith("expected ")
+def test_a_tool_with_one_fault_is_refused_in_its_place() -> None:
+    for name, (tool, place) in FAULTS.items():
+        with case(name):
+            where, message = fault(tool)
+            assert where == f"tools.go.{place}"
+            assert message.startswith("expected ")
 
 
 SOUND: dict[str, Plain] = {
@@ -260,10 +262,10 @@ def test_names_within_lists_and_other_names_are_ascii_too(name: str) -> None:
 
 def test_a_binding_that_names_no_site_fits_any_with_its_types() -> None:
     data = plain({"go": with_arguments()})
-    for place in (worlds.site(), site()):
+    for place in (scenarios.site(), site()):
         assert load_binding(data, site=place, where="binding").site is None
     with pytest.raises(MalformedError) as caught:
-        load_binding(plain({"go": GO_TO_POSE | {"type": "dock"}}), site=worlds.site(), where="b")
+        load_binding(plain({"go": GO_TO_POSE | {"type": "dock"}}), site=scenarios.site(), where="b")
     assert caught.value.where == "tools.go.type"
     with pytest.raises(MalformedError) as caught:
         load_binding({**data, "site": "elsewhere"}, site=site(), where="binding")
@@ -272,9 +274,9 @@ def test_a_binding_that_names_no_site_fits_any_with_its_types() -> None:
 
 def test_what_is_left_out_does_not_change_a_binding_s_digest() -> None:
     """The hospital's digest is in logs: the language grew without touching it."""
-    assert binding_digest(worlds.binding()) == "lP1ClaILC-6BcNXq8PlCJCLYEpAmwp2mKJXtY2rZcOI"
+    assert binding_digest(scenarios.binding()) == "lP1ClaILC-6BcNXq8PlCJCLYEpAmwp2mKJXtY2rZcOI"
     bare = Binding(schema="authguard-r/binding/1", id="x", tools={})
-    assert binding_digest(bare) != binding_digest(worlds.binding())
+    assert binding_digest(bare) != binding_digest(scenarios.binding())
 
 
 @pytest.mark.parametrize(

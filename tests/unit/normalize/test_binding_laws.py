@@ -17,6 +17,7 @@ from authguard_r.normalize.interface import read_interface
 from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.normalize.samples import Sampler
 from authguard_r.site.words import standard_words
+from fixtures.amount import amount
 from unit.normalize.bound import (
     NOTED,
     REFUSED,
@@ -98,7 +99,7 @@ SURFACES = (
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(tools | st.lists(tools, min_size=1, max_size=2))
 def test_any_binding_is_checked_and_a_sound_one_keeps_its_law(tool: Any) -> None:
     """No fault of a binding escapes as an exception; without one, samples bind and rebuild."""
@@ -172,7 +173,7 @@ def likely(draw: st.DrawFn) -> Plain:
     }
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=amount(50, 250), deadline=None)
 @given(st.data())
 def test_any_call_of_any_sound_binding_is_dispatched_as_it_was_authorized(
     data: st.DataObject,

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import typer
 
-import worlds
 from authguard_r.cli import binding as command
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.normalize.bind import Binder
@@ -23,6 +22,7 @@ from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
 
 
 def test_a_shipped_name_is_compared_exactly_and_else_is_a_path(tmp_path: Path) -> None:
@@ -52,12 +52,12 @@ def test_the_command_checks_a_shipped_binding_and_a_file(
     assert told["faults"] == []
     assert told["groups"] == {"brake by car": ["tools.pressBrakePedal", "tools.releaseBrakePedal"]}
     assert set(told["fields"]) == {"mapped", "fixed", "refused", "noted"}
-    hospital = str(worlds.HOSPITAL / "binding.yaml")
-    code, out = run(capsys, "check", hospital, "--site", str(worlds.HOSPITAL / "site.yaml"))
+    hospital = str(scenarios.HOSPITAL / "binding.yaml")
+    code, out = run(capsys, "check", hospital, "--site", str(scenarios.HOSPITAL / "site.yaml"))
     assert (code, out.splitlines()[0][:23]) == (0, "courier-tools: 9 tools,")
     code, out = run(capsys, "check", hospital, "--json")
     assert (code, json.loads(out)["interface"], json.loads(out)["unmapped"]) == (0, None, None)
-    text = (worlds.HOSPITAL / "binding.yaml").read_text()
+    text = (scenarios.HOSPITAL / "binding.yaml").read_text()
     bad = tmp_path / "bad.yaml"
     bad.write_text(text.replace("to: object", "to: subject"))
     code, out = run(capsys, "check", str(bad))
@@ -99,7 +99,7 @@ def test_a_shipped_binding_is_compared_with_its_own_interface(
 def test_without_an_interface_the_command_says_that_nothing_shows_every_field(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    hospital = str(worlds.HOSPITAL / "binding.yaml")
+    hospital = str(scenarios.HOSPITAL / "binding.yaml")
     code, out = run(capsys, "check", hospital)
     line = "no interface given: nothing shows that every field is bound"
     assert (code, out.splitlines()[-1]) == (0, line)
@@ -192,7 +192,7 @@ def test_bad_input_is_an_error_with_a_place_and_no_traceback(tmp_path: Path) -> 
         ["check", "no-such-binding"],
         ["check", str(empty)],
         ["check", "nav2", "--interface", str(tmp_path / "none.json")],
-        ["show", "nav2", "--site", str(worlds.HOSPITAL / "site.yaml")],
+        ["show", "nav2", "--site", str(scenarios.HOSPITAL / "site.yaml")],
     ):
         with pytest.raises(AuthGuardError) as caught:
             command.app(args=words, standalone_mode=False)
@@ -201,7 +201,7 @@ def test_bad_input_is_an_error_with_a_place_and_no_traceback(tmp_path: Path) -> 
 
 
 def test_the_page_of_shipped_bindings_is_true() -> None:
-    page = (worlds.ROOT / "docs" / "reference" / "bindings.md").read_text(encoding="utf-8")
+    page = (scenarios.ROOT / "docs" / "reference" / "bindings.md").read_text(encoding="utf-8")
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in page.partition("\n## ")[0].splitlines()

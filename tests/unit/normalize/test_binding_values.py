@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import load_binding
+from fixtures import scenarios
 
 TOOL = {
     "type": "navigate",
@@ -22,8 +22,8 @@ TOOL = {
 
 
 def load(name: str = "go", **changes: Any) -> Any:
-    plain = {**msgspec.to_builtins(worlds.binding()), "tools": {name: {**TOOL, **changes}}}
-    return load_binding(plain, site=worlds.site(), where="binding")
+    plain = {**msgspec.to_builtins(scenarios.binding()), "tools": {name: {**TOOL, **changes}}}
+    return load_binding(plain, site=scenarios.site(), where="binding")
 
 
 def argument(**changes: Any) -> dict[str, Any]:

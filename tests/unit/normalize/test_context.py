@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
@@ -26,7 +25,10 @@ from authguard_r.normalize.context import (
     channel_labels,
 )
 from authguard_r.normalize.labels import label_fields
-from patience import at_most
+from fixtures import scenarios
+from fixtures.amount import amount
+from fixtures.cases import case
+from fixtures.time_bounds import at_most
 from unit.normalize.dialogue import as_json, binder, read
 
 #: `tab:provenance` as docs/spec/provenance.md has it, for the context of a planner.
@@ -101,17 +103,18 @@ def test_one_input_gives_its_channel_s_label(channel: str, label: Label) -> None
     assert context.base() is label
 
 
-@pytest.mark.parametrize(("one", "two"), list(combinations(TABLE, 2)))
-def test_of_two_inputs_the_least_trusted_gives_the_label(one: str, two: str) -> None:
-    expected = max(TABLE[one], TABLE[two], key=LADDER.index)
-    for order in ((one, two), (two, one)):
-        context = ledger()
-        for channel in order:
-            context.add(channel, "hello")
-        assert context.base() is expected
+def test_of_two_inputs_the_least_trusted_gives_the_label() -> None:
+    for one, two in list(combinations(TABLE, 2)):
+        with case(one, two):
+            expected = max(TABLE[one], TABLE[two], key=LADDER.index)
+            for order in ((one, two), (two, one)):
+                context = ledger()
+                for channel in order:
+                    context.add(channel, "hello")
+                assert context.base() is expected
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=amount(25, 100), deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(sorted(TABLE)), st.text(max_size=8)), max_size=8))
 def test_more_context_never_makes_a_planner_more_trusted(inputs: list[tuple[str, str]]) -> None:
     context = ledger()
@@ -340,7 +343,7 @@ def test_the_digest_is_of_the_text_as_it_was_before_folding() -> None:
     assert found == [digest(Tag.RAW, text.encode("utf-8", "surrogatepass")) for text in texts]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=amount(30, 150), deadline=None)
 @given(st.text(max_size=200))
 def test_no_text_is_refused_or_lost(text: str) -> None:
     context = ledger()
@@ -421,6 +424,7 @@ def test_a_long_text_in_parts_loses_no_name_at_their_borders() -> None:
     assert {str(item.how) for item in context.influences(going())} == {"split"}
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("piece", ["\ufdfa", "\u85ac", "s t a t i o n ", "aB", "1 ", "\u0430b "])
 def test_no_input_of_any_length_takes_a_second(piece: str) -> None:
     for size in (MAX_INPUT, 1 << 20):
@@ -443,6 +447,6 @@ def test_a_mention_changes_neither_the_plan_nor_any_label() -> None:
     action = plan.steps[0].action
     assert loud.influences(action) != quiet.influences(action) == ()
     assert read(text) == plan
-    verified = worlds.verified()
+    verified = scenarios.verified()
     labels = [label_fields(action, verified, None, base=one.base()) for one in (quiet, loud)]
     assert labels[0] == labels[1]

@@ -15,6 +15,8 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.parse import MAX_CALLS
+from fixtures.amount import amount
+from fixtures.cases import case
 from unit.normalize.dialogue import WRITERS, as_calls, as_json, as_openai
 
 GO = ("go", {"to": "Dock", "speed": 1})
@@ -155,9 +157,8 @@ def test_the_forms_of_json_and_where_each_call_stands(plan: Any, where: list[str
     assert calls == tuple(Call("go", {"to": "Dock"}, place) for place in where)
 
 
-@pytest.mark.parametrize(
-    ("plan", "reason", "where"),
-    [
+def test_json_that_is_no_plan_is_refused_in_its_place() -> None:
+    for plan, reason, where in [
         ({}, Reason.MALFORMED, "input.tool"),
         ({"tool": "go"}, Reason.MALFORMED, "input.arguments"),
         ({"arguments": {}}, Reason.MALFORMED, "input.tool"),
@@ -181,12 +182,9 @@ def test_the_forms_of_json_and_where_each_call_stands(plan: Any, where: list[str
         ("go()", Reason.MALFORMED, "input"),
         (1, Reason.MALFORMED, "input"),
         (None, Reason.MALFORMED, "input"),
-    ],
-)
-def test_json_that_is_no_plan_is_refused_in_its_place(
-    plan: Any, reason: Reason, where: str
-) -> None:
-    refused(json.dumps(plan), reason, where, Dialect.JSON)
+    ]:
+        with case(plan, reason, where):
+            refused(json.dumps(plan), reason, where, Dialect.JSON)
 
 
 def test_a_key_twice_anywhere_in_a_plan_is_refused() -> None:
@@ -257,9 +255,8 @@ def test_a_reply_with_other_than_one_choice_is_refused(count: int) -> None:
     refused(json.dumps(whole), Reason.MALFORMED, "choices")
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_a_reply_that_is_no_plan_is_refused_in_its_place() -> None:
+    for text, where in [
         (json.dumps(reply(choices=None)), "choices"),
         (json.dumps(reply(choices={})), "choices"),
         (json.dumps(reply(choices=["go()"])), "choices[0]"),
@@ -291,10 +288,9 @@ def test_a_reply_with_other_than_one_choice_is_refused(count: int) -> None:
         (function(arguments='{"speed": NaN}'), ARGUMENTS),
         (function(arguments='{"to": "\\ud800"}'), f"{ARGUMENTS}.to"),
         (function(arguments="[" * 40), f"{ARGUMENTS}[32]"),
-    ],
-)
-def test_a_reply_that_is_no_plan_is_refused_in_its_place(text: str, where: str) -> None:
-    refused(text, Reason.MALFORMED, where, Dialect.OPENAI)
+    ]:
+        with case(text, where):
+            refused(text, Reason.MALFORMED, where, Dialect.OPENAI)
 
 
 def test_a_call_in_the_retired_form_refuses_the_reply_instead_of_getting_lost() -> None:
@@ -359,7 +355,7 @@ scraps = st.recursive(
 )
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=amount(50, 250), deadline=None)
 @given(scraps, st.sampled_from(Dialect))
 def test_nothing_made_of_the_right_words_raises_anything_but_malformed(
     plan: Any, dialect: Dialect
@@ -373,7 +369,7 @@ def test_nothing_made_of_the_right_words_raises_anything_but_malformed(
         assert isinstance(found.arguments, dict)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=amount(50, 250), deadline=None)
 @given(st.text(max_size=80), st.sampled_from(Dialect))
 def test_no_text_at_all_raises_anything_but_malformed(text: str, dialect: Dialect) -> None:
     try:

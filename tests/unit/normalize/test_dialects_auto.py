@@ -13,6 +13,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Dialect, read_plan, read_reply
 from authguard_r.normalize.dialects.verbs import DRIVE_VERBS, STEP_VERBS
 from authguard_r.normalize.parse import MAX_CALLS
+from fixtures.cases import case
 from unit.normalize.writers import WAYS, as_anthropic, as_mcp, as_ros2, dumps
 
 ONE = {"tool": "go", "arguments": {}}
@@ -49,14 +50,17 @@ def test_what_was_written_is_read_in_the_named_dialect(way: str) -> None:
     assert all(call.where for call in reading.calls)
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("count", [1, 2])
-def test_the_dialect_is_recognized_and_named(way: str, count: int) -> None:
+def test_the_dialect_is_recognized_and_named() -> None:
     """A Go2 block is call text or Python: they read it alike, so it needs no name of its own."""
-    dialect, write, calls = WAYS[way]
-    reading = read_reply(write(*calls[:count]), Dialect.AUTO)
-    assert [(call.tool, call.arguments) for call in reading.calls] == list(calls[:count])
-    assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
+    for count in [1, 2]:
+        for way in WAYS:
+            with case(count, way):
+                dialect, write, calls = WAYS[way]
+                reading = read_reply(write(*calls[:count]), Dialect.AUTO)
+                assert [(call.tool, call.arguments) for call in reading.calls] == list(
+                    calls[:count]
+                )
+                assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
 
 
 @pytest.mark.parametrize("way", [way for way in WAYS if way not in {"python", "go2"}])
@@ -76,37 +80,38 @@ def test_as_many_calls_as_allowed_pass_and_one_more_refuses_all(way: str) -> Non
     assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "input")
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        ("Sure! ", ""),
-        ("```\n", "\n```"),
-        ("```json\n", "\n```"),
-        ("", "\nI hope that this helps!"),
-        ("", " // done"),
-        ("", ";"),
-        ("\ufeff", ""),
-        ("'", "'"),
-        ("plan = ", ""),
-        ("<plan>", "</plan>"),
-    ],
-)
+#: What models write around a plan, before and after.
+AROUND = [
+    ("Sure! ", ""),
+    ("```\n", "\n```"),
+    ("```json\n", "\n```"),
+    ("", "\nI hope that this helps!"),
+    ("", " // done"),
+    ("", ";"),
+    ("\ufeff", ""),
+    ("'", "'"),
+    ("plan = ", ""),
+    ("<plan>", "</plan>"),
+]
+
+
 @pytest.mark.parametrize("named", [True, False])
-def test_what_is_wrapped_around_a_plan_is_refused_and_not_unwrapped(
-    way: str, before: str, after: str, named: bool
-) -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_what_is_wrapped_around_a_plan_is_refused_and_not_unwrapped(way: str, named: bool) -> None:
     """L12: a refusal with a place is the right answer to broken output."""
     dialect, write, calls = WAYS[way]
-    text = f"{before}{write(*calls)}{after}"
-    if after == ";" and (dialect is Dialect.CALLS or (dialect is Dialect.GO2 and not named)):
-        return  # call text may be separated so
-    if dialect is Dialect.STEPS and after in {" // done", ";"} and "[" not in text:
-        assert read_plan(text, dialect)[-1].arguments["2"] != calls[-1][1]["2"]  # another name
-        return
-    with pytest.raises(MalformedError) as caught:
-        read_plan(text, dialect if named else Dialect.AUTO)
-    assert caught.value.where
+    for before, after in AROUND:
+        text = f"{before}{write(*calls)}{after}"
+        if after == ";" and (dialect is Dialect.CALLS or (dialect is Dialect.GO2 and not named)):
+            continue  # call text may be separated so
+        with case(before, after):
+            if dialect is Dialect.STEPS and after in {" // done", ";"} and "[" not in text:
+                last = read_plan(text, dialect)[-1]
+                assert last.arguments["2"] != calls[-1][1]["2"]  # another name
+                continue
+            with pytest.raises(MalformedError) as caught:
+                read_plan(text, dialect if named else Dialect.AUTO)
+            assert caught.value.where
 
 
 # -- none fits -------------------------------------------------------------------------------------

@@ -7,12 +7,12 @@ import re
 
 import pytest
 
-import worlds
 from authguard_r.normalize.dialects import Dialect, read_plan, read_reply
 from authguard_r.normalize.dialects.python_code import MAX_CODE
 from authguard_r.normalize.parse import MAX_CALLS, MAX_DEPTH, MAX_TEXT
+from fixtures import scenarios
 
-PAGE = (worlds.ROOT / "docs" / "spec" / "normalize.md").read_text(encoding="utf-8")
+PAGE = (scenarios.ROOT / "docs" / "spec" / "normalize.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"^### `(\w+)`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 

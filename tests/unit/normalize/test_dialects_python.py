@@ -18,6 +18,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.dialects.python_code import MAX_CODE, read_literal
 from authguard_r.normalize.parse import MAX_DEPTH, MAX_NUMBER
+from fixtures.amount import amount
+from fixtures.cases import case
 from unit.normalize.writers import as_badrobot
 
 
@@ -40,9 +42,8 @@ def said(text: str, dialect: Dialect = Dialect.PYTHON) -> list[tuple[str, dict[s
 # -- Python ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("text", "tool", "arguments"),
-    [
+def test_code_is_read_as_python_reads_it() -> None:
+    for text, tool, arguments in [
         ("go()", "go", {}),
         ("go( )", "go", {}),
         ("go ()", "go", {}),
@@ -51,27 +52,38 @@ def said(text: str, dialect: Dialect = Dialect.PYTHON) -> list[tuple[str, dict[s
         ("match(case=1)", "match", {"case": 1}),
         ("go('Dock', 2, fast=True)", "go", {"1": "Dock", "2": 2, "fast": True}),
         ("go(x=-1, y=-0.50, z=2e3)", "go", {"x": -1, "y": Decimal("-0.50"), "z": Decimal("2e3")}),
-        ("go(a=0.1000000000000000055511151231257)", "go", {"a": Decimal("0.1000000000000000055511151231257")}),  # noqa: E501
+        (
+            "go(a=0.1000000000000000055511151231257)",
+            "go",
+            {"a": Decimal("0.1000000000000000055511151231257")},
+        ),
         ("go(a=False)", "go", {"a": False}),
         ("go(a=[1, [2.5], ()])", "go", {"a": [1, [Decimal("2.5")], []]}),
         ("go(a=(1, 'b'))", "go", {"a": [1, "b"]}),
         ("go(a=(1))", "go", {"a": 1}),
         ("go(a=(1,))", "go", {"a": [1]}),
-        ("go(a={'x': 1.5, 'y': {'z': [-2]}}, b=3)", "go", {"a": {"x": Decimal("1.5"), "y": {"z": [-2]}}, "b": 3}),  # noqa: E501
+        (
+            "go(a={'x': 1.5, 'y': {'z': [-2]}}, b=3)",
+            "go",
+            {"a": {"x": Decimal("1.5"), "y": {"z": [-2]}}, "b": 3},
+        ),
         ("go(a={})", "go", {"a": {}}),
         ("go(\n    a=1,\n    b='x',\n)", "go", {"a": 1, "b": "x"}),
         ("go(a=1,\r\n b=2)", "go", {"a": 1, "b": 2}),
-        ("go(a='it\\'s', b=\"\\\"\\\\\\n\\x41\\u00e9\\U0001f916\")", "go", {"a": "it's", "b": '"\\\nA\u00e9\U0001f916'}),  # noqa: E501
+        (
+            "go(a='it\\'s', b=\"\\\"\\\\\\n\\x41\\u00e9\\U0001f916\")",
+            "go",
+            {"a": "it's", "b": '"\\\nA\u00e9\U0001f916'},
+        ),
         ("go(a='# no comment (')", "go", {"a": "# no comment ("}),
         ("go(a='')", "go", {"a": ""}),
         ("go(a='caf\u00e9', b=1.5)", "go", {"a": "caf\u00e9", "b": Decimal("1.5")}),
         ("# first\n\n  # \u201ccareful\u201d, import os\ngo()", "go", {}),
-    ],
-)  # fmt: skip
-def test_code_is_read_as_python_reads_it(text: str, tool: str, arguments: dict[str, Any]) -> None:
-    found = said(text)
-    assert found == [(tool, arguments)]
-    assert repr(found[0][1]) == repr(arguments)  # 1 is not 1.0 and not True
+    ]:
+        with case(text, tool, arguments):
+            found = said(text)
+            assert found == [(tool, arguments)]
+            assert repr(found[0][1]) == repr(arguments)  # 1 is not 1.0 and not True
 
 
 def test_each_statement_is_a_call_with_its_line() -> None:
@@ -255,16 +267,17 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("text", REFUSED)
-@pytest.mark.parametrize("line", [1, 3])
-def test_everything_else_is_refused_with_its_line(text: str, line: int) -> None:
-    where = refused("# x\n" * (line - 1) + text, _line(text, line)).where
-    assert where.startswith("line[")
-    if line == 1:
-        later = f"go()\n\n{text}"
-        with pytest.raises(MalformedError) as caught:
-            read_plan(later, Dialect.PYTHON)
-        assert caught.value.where == _line(text, 3)
+def test_everything_else_is_refused_with_its_line() -> None:
+    for line in [1, 3]:
+        for text in REFUSED:
+            with case(line, text):
+                where = refused("# x\n" * (line - 1) + text, _line(text, line)).where
+                assert where.startswith("line[")
+                if line == 1:
+                    later = f"go()\n\n{text}"
+                    with pytest.raises(MalformedError) as caught:
+                        read_plan(later, Dialect.PYTHON)
+                    assert caught.value.where == _line(text, 3)
 
 
 def _line(text: str, first: int) -> str:
@@ -316,7 +329,7 @@ def test_code_is_read_to_its_longest_and_refused_beyond() -> None:
     refused(text, "input", reason=Reason.INPUT_TOO_LARGE)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=amount(40, 200), deadline=None)
 @given(st.text(alphabet="go(a='1',-.)[]{}:= \n#\\xTrue\"", max_size=40) | st.text(max_size=40))
 def test_whatever_is_accepted_python_means_too(text: str) -> None:
     """The oracle is Python's own literals: same names, same values, floats apart."""
@@ -442,9 +455,8 @@ def test_each_string_under_function_is_one_call_and_the_response_is_prose(
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_a_badrobot_reply_that_is_broken_is_refused_in_its_place() -> None:
+    for text, where in [
         ("{'function': ['go()'], 'response': 'it's done'}", "input.line[1]"),
         ("{'function': ['go('x')'], 'response': ''}", "input.line[1]"),
         ("{'function':\n ['go()'],\n 'response': None}", "input.line[3]"),
@@ -467,10 +479,9 @@ def test_each_string_under_function_is_one_call_and_the_response_is_prose(
         ("{'function': ['go()'], 'response': 1}", "response"),
         ("[]", "input"),
         ("go()", "input[0]"),
-    ],
-)
-def test_a_badrobot_reply_that_is_broken_is_refused_in_its_place(text: str, where: str) -> None:
-    refused(text, where, Dialect.BADROBOT)
+    ]:
+        with case(text, where):
+            refused(text, where, Dialect.BADROBOT)
 
 
 def test_a_badrobot_reply_has_no_other_field() -> None:

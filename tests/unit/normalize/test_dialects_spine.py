@@ -12,6 +12,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
+from fixtures.cases import case
 
 BOTH = pytest.mark.parametrize("dialect", [Dialect.SPINE, Dialect.AUTO])
 
@@ -98,9 +99,8 @@ def test_what_is_said_beside_the_plan_is_prose_and_only_text_is_prose() -> None:
     refused(plan("[goto(a)]", café=1), r"input.caf\xe9")
 
 
-@pytest.mark.parametrize(
-    ("written", "at"),
-    [
+def test_a_list_that_is_broken_is_refused_where_it_breaks() -> None:
+    for written, at in [
         ("", 0),
         ("goto(a)", 0),
         ("Plan: [goto(a)]", 0),
@@ -137,12 +137,11 @@ def test_what_is_said_beside_the_plan_is_prose_and_only_text_is_prose() -> None:
         ("[goto(1" + "0" * 40 + ")]", 6),
         ("[goto(a); goto(b)]", 8),
         ("[# go\ngoto(a)]", 1),
-    ],
-)
-def test_a_list_that_is_broken_is_refused_where_it_breaks(written: str, at: int) -> None:
-    refused(plan(written), f"plan[{at}]")
-    if not written.lstrip().startswith("{"):
-        refused(written, f"input[{at}]")
+    ]:
+        with case(written, at):
+            refused(plan(written), f"plan[{at}]")
+            if not written.lstrip().startswith("{"):
+                refused(written, f"input[{at}]")
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
+from fixtures.cases import case
 from unit.normalize.writers import as_anthropic, as_mcp
 
 GO = ("go", {"to": "Dock"})
@@ -175,9 +176,8 @@ def test_a_request_may_leave_out_arguments_and_say_nothing_beside_them(extra: An
     assert read_plan(text, Dialect.AUTO)[0].arguments == {}
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_a_request_that_is_no_tool_call_is_refused_in_its_place() -> None:
+    for text, where in [
         ('"tools/call"', "input"),
         ("[[]]", "input[0]"),
         (request(jsonrpc="1.0"), "input.jsonrpc"),
@@ -198,10 +198,9 @@ def test_a_request_may_leave_out_arguments_and_say_nothing_beside_them(extra: An
         (params(arguments=[]), "input.params.arguments"),
         (params(arguments="{}"), "input.params.arguments"),
         ("[" + request(id=1) + "," + request(id=1) + "]", "input[1].id"),
-    ],
-)
-def test_a_request_that_is_no_tool_call_is_refused_in_its_place(text: str, where: str) -> None:
-    refused(text, where, Dialect.MCP)
+    ]:
+        with case(text, where):
+            refused(text, where, Dialect.MCP)
 
 
 def test_a_notification_is_refused_because_nobody_would_hear_of_a_refusal() -> None:

@@ -11,6 +11,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.dialects.verbs import DRIVE_VERBS, STEP_VERBS
+from fixtures.cases import case
 
 BOTH = pytest.mark.parametrize("dialect", [Dialect.STEPS, Dialect.AUTO])
 
@@ -86,9 +87,9 @@ def test_a_gap_in_the_numbers_is_a_lost_step(text: str, where: str) -> None:
     refused(text, where)
 
 
-@pytest.mark.parametrize(
-    "step",
-    [
+def test_an_unknown_verb_refuses_the_steps_beside_it() -> None:
+    """Verbs are told by exact spelling, as their executors tell them (L2)."""
+    for step in [
         "Find Cup",
         "FIND Cup",
         "f\u0456nd Cup",
@@ -116,13 +117,11 @@ def test_a_gap_in_the_numbers_is_a_lost_step(text: str, where: str) -> None:
         "# find Cup",
         "I will find the cup now.",
         "__import__('os')",
-    ],
-)
-def test_an_unknown_verb_refuses_the_steps_beside_it(step: str) -> None:
-    """Verbs are told by exact spelling, as their executors tell them (L2)."""
-    refused(json.dumps(["find Cup", step]), "input[1]", Reason.TOOL_UNKNOWN)
-    if not step.startswith("1. "):
-        refused(f"find Cup\n{step}", "line[2]", Reason.TOOL_UNKNOWN)
+    ]:
+        with case(step):
+            refused(json.dumps(["find Cup", step]), "input[1]", Reason.TOOL_UNKNOWN)
+            if not step.startswith("1. "):
+                refused(f"find Cup\n{step}", "line[2]", Reason.TOOL_UNKNOWN)
 
 
 @pytest.mark.parametrize(

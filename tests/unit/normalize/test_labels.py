@@ -6,13 +6,13 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.action import Action
 from authguard_r.core.mission import Row
 from authguard_r.core.provenance import Chooser, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
 from authguard_r.normalize.labels import label_fields
+from fixtures import scenarios
 
 replace = msgspec.structs.replace
 PLACE = Action(
@@ -28,15 +28,15 @@ PICK = Action(type="pick", tool="gripper", object="package-p1", source="pharmacy
 
 def picking(*objects: str) -> VerifiedMission:
     """Return the story's mission with one row to pick each of these up."""
-    mission = worlds.mission()
+    mission = scenarios.mission()
     rows = tuple(Row(object=item, source="pharmacy", regions=("pharmacy",)) for item in objects)
     actions = list(mission.actions)
     actions[1] = replace(actions[1], alternatives=rows)
-    return worlds.verified(replace(mission, actions=tuple(actions)))
+    return scenarios.verified(replace(mission, actions=tuple(actions)))
 
 
 def selecting(verified: VerifiedMission, row: int) -> Standing:
-    return replace(worlds.active(verified), selected={"pick-p1": row})
+    return replace(scenarios.active(verified), selected={"pick-p1": row})
 
 
 @pytest.mark.parametrize("base", Label)
@@ -51,12 +51,12 @@ def test_without_a_mission_every_field_has_the_label_of_what_could_be_seen(base:
 
 def test_a_field_that_an_action_does_not_have_has_no_label() -> None:
     bare = Action(type="scan_obstacles", tool="lidar")
-    assert label_fields(bare, worlds.verified(), None, base=Label.CAMERA) == {}
+    assert label_fields(bare, scenarios.verified(), None, base=Label.CAMERA) == {}
 
 
 def test_the_only_value_that_the_mission_leaves_is_the_operator_s() -> None:
     """Whoever repeats it, the operator chose it; way and source are never a choice of theirs."""
-    assert label_fields(PLACE, worlds.verified(), None, base=Label.CAMERA) == {
+    assert label_fields(PLACE, scenarios.verified(), None, base=Label.CAMERA) == {
         "object": Label.OPERATOR,
         "source": Label.CAMERA,
         "destination": Label.OPERATOR,
@@ -69,7 +69,9 @@ def test_the_only_value_that_the_mission_leaves_is_the_operator_s() -> None:
 )
 def test_another_value_than_the_only_one_is_not(field: str, value: str) -> None:
     action = replace(PLACE, **{field: value})
-    assert label_fields(action, worlds.verified(), None, base=Label.CAMERA)[field] is Label.CAMERA
+    assert (
+        label_fields(action, scenarios.verified(), None, base=Label.CAMERA)[field] is Label.CAMERA
+    )
 
 
 def test_a_value_among_several_is_nobody_s_choice() -> None:
@@ -99,7 +101,7 @@ def test_a_selection_of_a_row_that_is_not_there_chooses_nothing(row: int) -> Non
 
 def test_an_action_type_that_the_mission_does_not_grant_leaves_no_value() -> None:
     action = replace(PICK, type="record_video")
-    labels = label_fields(action, worlds.verified(), None, base=Label.RETRIEVAL)
+    labels = label_fields(action, scenarios.verified(), None, base=Label.RETRIEVAL)
     assert set(labels.values()) == {Label.RETRIEVAL}
 
 
@@ -109,7 +111,7 @@ def test_a_label_that_a_proposal_brings_along_is_not_read() -> None:
         forged = replace(
             action, provenance=dict.fromkeys(("object", "destination"), Label.OPERATOR)
         )
-        for verified in (None, worlds.verified()):
+        for verified in (None, scenarios.verified()):
             assert label_fields(forged, verified, None, base=Label.CAMERA) == label_fields(
                 action, verified, None, base=Label.CAMERA
             )
@@ -117,11 +119,11 @@ def test_a_label_that_a_proposal_brings_along_is_not_read() -> None:
 
 def going(chooser: str, *rows: Row) -> VerifiedMission:
     """Return the story's mission with these rows to drive to the pharmacy and no other drive."""
-    mission = worlds.mission()
+    mission = scenarios.mission()
     grant = replace(mission.actions[0], alternatives=rows, chooser=Chooser(chooser))
     others = tuple(g for g in mission.actions if g.type != "navigate")
     closing = None
-    return worlds.verified(replace(mission, actions=(grant, *others), closing=closing))
+    return scenarios.verified(replace(mission, actions=(grant, *others), closing=closing))
 
 
 def row(source: str, destination: str) -> Row:
@@ -133,19 +135,19 @@ def row(source: str, destination: str) -> Row:
 )
 def test_what_a_selection_settles_is_its_chooser_s(chooser: str, label: Label) -> None:
     verified = going(chooser, row("dock", "pharmacy"), row("dock", "station-103"))
-    standing = replace(worlds.active(verified), selected={"go-to-pharmacy": 1})
-    action = worlds.navigate("dock", "station-103")
+    standing = replace(scenarios.active(verified), selected={"go-to-pharmacy": 1})
+    action = scenarios.navigate("dock", "station-103")
     labels = label_fields(action, verified, standing, base=Label.CAMERA)
     assert labels["destination"] is label
-    labels = label_fields(action, verified, worlds.active(verified), base=Label.CAMERA)
+    labels = label_fields(action, verified, scenarios.active(verified), base=Label.CAMERA)
     assert labels["destination"] is Label.CAMERA
 
 
 def test_what_only_the_place_of_the_robot_settles_is_the_sensor_s() -> None:
     verified = going("trusted_sensor", row("dock", "pharmacy"), row("pharmacy", "dock"))
-    labels = label_fields(worlds.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
+    labels = label_fields(scenarios.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
     assert labels["destination"] is Label.TRUSTED_SENSOR
-    labels = label_fields(worlds.navigate("dock", "dock"), verified, None, base=Label.CAMERA)
+    labels = label_fields(scenarios.navigate("dock", "dock"), verified, None, base=Label.CAMERA)
     assert labels["destination"] is Label.CAMERA
 
 
@@ -153,8 +155,8 @@ def test_of_two_grants_that_leave_one_value_the_less_trusted_word_counts() -> No
     signed = going("operator", row("dock", "pharmacy"))
     sensed = going("trusted_sensor", row("dock", "pharmacy"), row("pharmacy", "dock"))
     both = (replace(sensed.mission.actions[0], id="other"), *signed.mission.actions)
-    verified = worlds.verified(replace(signed.mission, actions=both))
-    labels = label_fields(worlds.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
+    verified = scenarios.verified(replace(signed.mission, actions=both))
+    labels = label_fields(scenarios.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
     assert labels["destination"] is Label.TRUSTED_SENSOR
 
 
@@ -166,12 +168,12 @@ def test_a_planner_that_chooses_among_grants_chooses_no_value() -> None:
         ("station-101", "dock"),
     ):
         labels = label_fields(
-            worlds.navigate(source, goal), worlds.verified(), None, base=Label.CAMERA
+            scenarios.navigate(source, goal), scenarios.verified(), None, base=Label.CAMERA
         )
         assert labels["destination"] is Label.OPERATOR
     for goal in ("station-103", "office-1"):
         labels = label_fields(
-            worlds.navigate("dock", goal), worlds.verified(), None, base=Label.CAMERA
+            scenarios.navigate("dock", goal), scenarios.verified(), None, base=Label.CAMERA
         )
         assert labels["destination"] is Label.CAMERA
 
@@ -180,6 +182,6 @@ def test_a_value_that_another_grant_leaves_open_is_nobody_s_choice() -> None:
     signed = going("operator", row("dock", "pharmacy"))
     wide = going("operator", row("dock", "pharmacy"), row("dock", "station-103"))
     both = (*signed.mission.actions, replace(wide.mission.actions[0], id="other"))
-    verified = worlds.verified(replace(signed.mission, actions=both))
-    labels = label_fields(worlds.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
+    verified = scenarios.verified(replace(signed.mission, actions=both))
+    labels = label_fields(scenarios.navigate("dock", "pharmacy"), verified, None, base=Label.CAMERA)
     assert labels["destination"] is Label.CAMERA

@@ -12,16 +12,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.normalize.context import CHANNELS, KEPT, WINDOW, ContextLedger
 from authguard_r.normalize.folding import fold, loosen, skeleton
 from authguard_r.normalize.mentions import How, Names
 from authguard_r.normalize.numerals import ORDINAL, read_tokens
-from patience import at_most
+from fixtures import scenarios
+from fixtures.amount import amount
+from fixtures.cases import case
+from fixtures.time_bounds import at_most
 from unit.normalize.dialogue import binder
 
 CONFUSABLES = (
-    worlds.ROOT.parent / "shared" / "external" / "confusables" / "woodgern_confusables.txt"
+    scenarios.ROOT.parent / "shared" / "external" / "confusables" / "woodgern_confusables.txt"
 )
 
 
@@ -41,32 +43,33 @@ def how(text: str) -> set[How]:
 # -- spelling --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "item"), sorted(binder().spellings().items()))
-def test_every_name_of_the_site_is_found_in_every_ordinary_spelling(name: str, item: str) -> None:
+def test_every_name_of_the_site_is_found_in_every_ordinary_spelling() -> None:
     """Aliases, case, spacing, hyphens, underscores, quotes, line breaks, wide forms."""
-    wide = "".join(chr(ord(c) + 0xFEE0) if "!" <= c <= "~" else "\u3000" for c in name)
-    glued = "".join(filter(str.isalnum, name))
-    for text in (
-        name,
-        name.upper(),
-        name.title(),
-        name.swapcase(),
-        name.replace(" ", "  "),
-        name.replace(" ", "-"),
-        name.replace(" ", "_"),
-        name.replace(" ", "\n"),
-        name.replace(" ", " / "),
-        f'"{name}"',
-        f"*{name}*!",
-        " ".join(glued),
-        glued,
-        wide,
-        "\u200b".join(name),
-        name.replace(" ", "\u00ad \u2060"),
-        "\u0336".join(name),
-        "".join(chr(0xE0000 + ord(c)) for c in name),
-    ):
-        assert item in named(f"Please go to {text} now"), ascii(text)
+    for name, item in sorted(binder().spellings().items()):
+        with case(name, item):
+            wide = "".join(chr(ord(c) + 0xFEE0) if "!" <= c <= "~" else "\u3000" for c in name)
+            glued = "".join(filter(str.isalnum, name))
+            for text in (
+                name,
+                name.upper(),
+                name.title(),
+                name.swapcase(),
+                name.replace(" ", "  "),
+                name.replace(" ", "-"),
+                name.replace(" ", "_"),
+                name.replace(" ", "\n"),
+                name.replace(" ", " / "),
+                f'"{name}"',
+                f"*{name}*!",
+                " ".join(glued),
+                glued,
+                wide,
+                "\u200b".join(name),
+                name.replace(" ", "\u00ad \u2060"),
+                "\u0336".join(name),
+                "".join(chr(0xE0000 + ord(c)) for c in name),
+            ):
+                assert item in named(f"Please go to {text} now"), ascii(text)
 
 
 @pytest.mark.parametrize(
@@ -96,9 +99,8 @@ def test_characters_that_pass_for_others_hide_no_name(text: str) -> None:
     assert how(text) == {How.VARIANT}
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_what_is_no_whole_name_is_no_mention() -> None:
+    for text in [
         "",
         " \n\t",
         "...!?",
@@ -122,10 +124,9 @@ def test_characters_that_pass_for_others_hide_no_name(text: str) -> None:
         "Oh, station",
         "at the office, one nurse waits",
         "wait a second. Office hours are over",
-    ],
-)
-def test_what_is_no_whole_name_is_no_mention(text: str) -> None:
-    assert named(text) == set()
+    ]:
+        with case(text):
+            assert named(text) == set()
 
 
 def test_a_name_within_a_longer_one_is_not_meant() -> None:
@@ -186,9 +187,8 @@ def test_a_list_of_numbers_names_each(text: str, items: set[str]) -> None:
 # -- numbers ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_a_number_may_be_said_in_many_ways() -> None:
+    for text in [
         "station one hundred and three",
         "Station One Hundred Three",
         "nurse station a hundred and three",
@@ -215,10 +215,9 @@ def test_a_list_of_numbers_names_each(text: str, items: set[str]) -> None:
         "station 1 0 3",
         "station 1-0-3",
         "one hundred and two, station one hundred and three",
-    ],
-)
-def test_a_number_may_be_said_in_many_ways(text: str) -> None:
-    assert named(text) == {"station-103"}
+    ]:
+        with case(text):
+            assert named(text) == {"station-103"}
 
 
 def test_the_number_of_a_short_name_may_be_said_too() -> None:
@@ -227,9 +226,8 @@ def test_the_number_of_a_short_name_may_be_said_too() -> None:
     assert how("office two") == {How.NUMBER}
 
 
-@pytest.mark.parametrize(
-    ("text", "read"),
-    [
+def test_number_words_are_read_as_numbers() -> None:
+    for text, read in [
         ("one two", ["1", "2"]),
         ("one twenty three", ["1", "23"]),
         ("twenty twenty", ["20", "20"]),
@@ -256,10 +254,9 @@ def test_the_number_of_a_short_name_may_be_said_too() -> None:
         ("number seven", ["7"]),
         ("no number", ["no", "number"]),
         ("no number 7", ["no", "7"]),
-    ],
-)
-def test_number_words_are_read_as_numbers(text: str, read: list[str]) -> None:
-    assert [token.text for token in read_tokens(text)] == read
+    ]:
+        with case(text, read):
+            assert [token.text for token in read_tokens(text)] == read
 
 
 ONES = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
@@ -280,13 +277,13 @@ def say(number: int, joint: str = " and ") -> str:
     return f"{say(number // unit, joint)} {word}" + (f"{between}{say(rest, joint)}" if rest else "")
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(st.integers(0, 999_999), st.sampled_from([" and ", " "]))
 def test_every_number_below_a_million_is_read_back(number: int, joint: str) -> None:
     assert [token.text for token in read_tokens(say(number, joint))] == [str(number)]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=amount(40, 200), deadline=None)
 @given(st.integers(100, 9_999), st.booleans())
 def test_every_numbered_place_is_found_by_its_spoken_number(number: int, by_digit: bool) -> None:
     site = Names({f"Station {number}": "here", "Station 99999": "there"})
@@ -302,7 +299,7 @@ def told(*inputs: tuple[str, str]) -> list[tuple[str, str]]:
     context = ContextLedger(binder().spellings())
     for channel, text in inputs:
         context.add(channel, text)
-    going = worlds.navigate("dock", "station-103")
+    going = scenarios.navigate("dock", "station-103")
     return [(item.channel, str(item.how)) for item in context.influences(going)]
 
 
@@ -413,9 +410,10 @@ BENIGN = (
 )
 
 
-@pytest.mark.parametrize("text", BENIGN)
-def test_plain_talk_names_nothing(text: str) -> None:
-    assert named(text) == set()
+def test_plain_talk_names_nothing() -> None:
+    for text in BENIGN:
+        with case(text):
+            assert named(text) == set()
 
 
 def test_plain_talk_in_a_row_names_nothing_either() -> None:
@@ -424,12 +422,12 @@ def test_plain_talk_in_a_row_names_nothing_either() -> None:
         context.add(sorted(CHANNELS)[number % len(CHANNELS)], text)
         for piece in text.split(". "):
             context.add(sorted(CHANNELS)[number % 7], piece)
-    site = worlds.site()
+    site = scenarios.site()
     for place in site.regions:
-        going = worlds.navigate("x", place, object="package-p1", route=tuple(site.regions))
+        going = scenarios.navigate("x", place, object="package-p1", route=tuple(site.regions))
         assert context.influences(going) == ()
-    assert context.influences(worlds.navigate("x", "y", object="package-p2")) == ()
-    assert context.influences(worlds.navigate("x", "y", object="sharps-bin")) == ()
+    assert context.influences(scenarios.navigate("x", "y", object="package-p2")) == ()
+    assert context.influences(scenarios.navigate("x", "y", object="sharps-bin")) == ()
 
 
 # -- bounds ----------------------------------------------------------------------------------------
@@ -437,6 +435,7 @@ def test_plain_talk_in_a_row_names_nothing_either() -> None:
 SIZE = 100_000
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize(
     "text",
     [
@@ -462,6 +461,7 @@ def test_a_hundred_kilobytes_are_read_in_well_under_a_second(text: str) -> None:
         context.add("ocr", text)
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize(
     "pieces",
     [["station"] * 5_000, ["nurse", "station"] * 2_500, [f"station {n}" for n in range(5_000)]],
@@ -479,7 +479,7 @@ def test_a_flood_of_mentions_keeps_the_first_and_the_last() -> None:
     for number in range(100):
         context.add("camera", f"Station 103, says frame {number}")
         context.add("audio", "Station 103")
-    going = worlds.navigate("dock", "station-103")
+    going = scenarios.navigate("dock", "station-103")
     kept = context.influences(going)
     assert len([item for item in kept if item.channel == "camera"]) == KEPT
     assert len([item for item in kept if item.channel == "audio"]) == 1
@@ -490,13 +490,13 @@ def test_a_flood_of_mentions_keeps_the_first_and_the_last() -> None:
     assert of_camera == [item.evidence for item in fresh.influences(going)]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(st.text(max_size=60), st.text(max_size=60))
 def test_no_text_breaks_the_reader_and_a_name_among_it_is_found(before: str, after: str) -> None:
     assert "station-101" in named(f"{before}\n.Station 101.\n{after}")
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(st.text())
 def test_folding_is_bounded_and_a_skeleton_keeps_its_length(text: str) -> None:
     folded = fold(text)

@@ -11,16 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.parse import MAX_TEXT
-from patience import at_most
+from fixtures import scenarios
+from fixtures.amount import amount
+from fixtures.cases import case
+from fixtures.time_bounds import at_most
 from unit.normalize.dialogue import WRITERS, as_json, as_openai, binder, read, refused
 
-REPLIES = sorted((worlds.HOSPITAL / "replies").iterdir())
+REPLIES = sorted((scenarios.HOSPITAL / "replies").iterdir())
 GO = ("navigate_to", {"destination": "Dock"})
 
 #: What a normalizer may answer with; anything else is a wrong answer or a crash.
@@ -103,27 +105,26 @@ CODE = [
 ]
 
 
-@pytest.mark.parametrize("code", CODE)
 @pytest.mark.parametrize("dialect", Dialect)
-def test_code_is_refused_and_nothing_of_it_runs(
-    code: str, dialect: Dialect, tmp_path: Path
-) -> None:
+def test_code_is_refused_and_nothing_of_it_runs(dialect: Dialect, tmp_path: Path) -> None:
     target = tmp_path / "run"
-    with pytest.raises(MalformedError):
-        read(code.format(path=target), dialect)
-    assert not target.exists()
+    for code in CODE:
+        with case(code):
+            with pytest.raises(MalformedError):
+                read(code.format(path=target), dialect)
+            assert not target.exists()
 
 
-@pytest.mark.parametrize("code", CODE)
-def test_code_in_a_value_is_text_that_names_nothing(code: str, tmp_path: Path) -> None:
+def test_code_in_a_value_is_text_that_names_nothing(tmp_path: Path) -> None:
     target = tmp_path / "run"
-    text = code.format(path=target)
-    refused(
-        as_json(("navigate_to", {"destination": text})), Reason.NAME_UNKNOWN, "plan[0].destination"
-    )
-    refused(as_json((text, {})), Reason.TOOL_UNKNOWN, "plan[0]")
-    read(as_json(("say", {"text": text})))
-    assert not target.exists()
+    for code in CODE:
+        text = code.format(path=target)
+        to_text = as_json(("navigate_to", {"destination": text}))
+        with case(code):
+            refused(to_text, Reason.NAME_UNKNOWN, "plan[0].destination")
+            refused(as_json((text, {})), Reason.TOOL_UNKNOWN, "plan[0]")
+            read(as_json(("say", {"text": text})))
+            assert not target.exists()
 
 
 # -- bounded work (L19) ----------------------------------------------------------------------------
@@ -173,7 +174,7 @@ def test_a_reply_at_the_limit_is_still_read() -> None:
 
 # -- anything at all -------------------------------------------------------------------------------
 
-FUZZ = settings(max_examples=250, deadline=None)
+FUZZ = settings(max_examples=amount(50, 250), deadline=None)
 words = st.sampled_from(
     [
         "navigate_to",

@@ -14,7 +14,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.action import Action, ActionMeta, scope_of
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
@@ -30,6 +29,8 @@ from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.model import Parameter, Rounding, Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
+from fixtures.amount import amount
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -234,8 +235,8 @@ def test_who_proposed_it_and_why_changes_nothing_that_is_dispatched() -> None:
 
 def test_calls_of_one_meaning_are_dispatched_as_the_same_bytes() -> None:
     """Spelling, digits, order, defaults, notes and the spot within a room all fall away."""
-    binder = Binder(worlds.site(), worlds.binding())
-    rebuilder = Rebuilder(worlds.site(), worlds.binding())
+    binder = Binder(scenarios.site(), scenarios.binding())
+    rebuilder = Rebuilder(scenarios.site(), scenarios.binding())
     same = [
         {"destination": "Station 101"},
         {"destination": "station-101", "speed": Decimal("0.5")},
@@ -251,10 +252,10 @@ def test_calls_of_one_meaning_are_dispatched_as_the_same_bytes() -> None:
     ]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=amount(30, 150), deadline=None)
 @given(
-    st.sampled_from(sorted(worlds.site().regions)),
-    st.lists(st.sampled_from(sorted(worlds.site().regions)), max_size=3),
+    st.sampled_from(sorted(scenarios.site().regions)),
+    st.lists(st.sampled_from(sorted(scenarios.site().regions)), max_size=3),
     st.integers(1, 3000),
 )
 def test_binding_a_rebuilt_call_gives_the_same_action(
@@ -267,13 +268,13 @@ def test_binding_a_rebuilt_call_gives_the_same_action(
         route=tuple(route),
         params={"speed_mm_s": speed},
     )
-    rebuilder = Rebuilder(worlds.site(), worlds.binding())
+    rebuilder = Rebuilder(scenarios.site(), scenarios.binding())
     call = rebuilder.rebuild(action)
-    assert Binder(worlds.site(), worlds.binding()).bind(call) == action
+    assert Binder(scenarios.site(), scenarios.binding()).bind(call) == action
     assert json.loads(call_bytes(call))["arguments"]["speed"] == speed / 1000
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=amount(25, 100), deadline=None)
 @given(st.integers(-100, 6100), st.integers(0, 2000), st.integers(-100, 6100), st.integers(0, 2000))
 def test_two_positions_are_one_call_exactly_when_they_are_one_action(
     x: int, y: int, u: int, v: int
@@ -301,7 +302,7 @@ factors = st.fractions(Fraction(1, 1000), 10**6, max_denominator=1000).map(str) 
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=amount(80, 400), deadline=None)
 @given(
     st.integers(-(10**9), 10**9), factors, st.sampled_from(Rounding), st.integers(-300_000, 300_000)
 )
@@ -389,8 +390,9 @@ anything = st.recursive(
 )
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize("name", shipped_names())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=amount(25, 60), deadline=None)
 @given(data=st.data())
 def test_however_a_call_is_changed_equal_scopes_are_equal_bytes(
     name: str, data: st.DataObject

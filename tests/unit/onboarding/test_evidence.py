@@ -9,8 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import shadow_logs as logs
-import worlds
 from authguard_r.audit.record import Entry
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import b64
@@ -21,8 +19,10 @@ from authguard_r.normalize.context import Influence
 from authguard_r.normalize.dialects import Dialect
 from authguard_r.onboarding import evidence
 from authguard_r.onboarding.evidence import MAX_PLAN, Evidence, gather
+from fixtures import scenarios
+from fixtures import shadow_logs as logs
 
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 NOTICE = Influence(
     field="destination",
     value="station-103",
@@ -33,17 +33,17 @@ NOTICE = Influence(
 
 
 def gathered(folder: Path, *entries: Entry, first: Entry | None = None) -> Evidence:
-    return gather(logs.rows(folder, *entries, first=first), worlds.site())
+    return gather(logs.rows(folder, *entries, first=first), scenarios.site())
 
 
 def test_decisions_and_raw_plans_are_taken_with_place_and_influences(tmp_path: Path) -> None:
     found = gathered(
         tmp_path,
         logs.decided(GO),
-        logs.decided(worlds.navigate("pharmacy", "station-103"), influences=(NOTICE,)),
+        logs.decided(scenarios.navigate("pharmacy", "station-103"), influences=(NOTICE,)),
         logs.refused("go()", dialect="calls"),
     )
-    assert (found.log.whole, found.log.size, found.robot) == (True, 4, worlds.RID)
+    assert (found.log.whole, found.log.size, found.robot) == (True, 4, scenarios.RID)
     first, second = found.proposed
     assert (first.seq, first.action, first.place, first.influences) == (
         1,
@@ -62,7 +62,7 @@ def test_what_is_not_marked_shadow_is_never_learned_from(tmp_path: Path, marks: 
     found = gathered(
         tmp_path,
         logs.decided(GO),
-        logs.decided(worlds.navigate("dock", "office-1"), marks=marks),
+        logs.decided(scenarios.navigate("dock", "office-1"), marks=marks),
         logs.refused("go()", marks=marks),
     )
     assert [item.seq for item in found.proposed] == [1]
@@ -77,7 +77,7 @@ def test_what_is_not_marked_shadow_is_never_learned_from(tmp_path: Path, marks: 
 
 def test_an_empty_log_and_one_of_other_records_teach_nothing(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="no record is marked"):
-        gather((), worlds.site())
+        gather((), scenarios.site())
     with pytest.raises(RefusedError, match="no record is marked"):
         gathered(tmp_path)
 
@@ -93,7 +93,7 @@ def test_a_log_that_is_not_whole_is_refused(tmp_path: Path, what: str) -> None:
         "rubbish": [*rows, Row(4, b"{}", b"\xff", bytes(32))],
     }[what]
     with pytest.raises(RefusedError) as caught:
-        gather(changed, worlds.site())
+        gather(changed, scenarios.site())
     assert caught.value.reason is Reason.STORE_CORRUPT
     assert caught.value.where.startswith("record")
 
@@ -168,7 +168,7 @@ def test_refusals_that_a_gate_only_counted_are_said_to_be_missing(tmp_path: Path
     counted = logs.marked(
         Entry(
             kind="refusal",
-            time_ms=worlds.START_MS,
+            time_ms=scenarios.START_MS,
             decision="counted",
             open={"repeats": 7, "reasons": ["TOOL_UNKNOWN"]},
             sealed={"where": "plan"},
@@ -182,7 +182,7 @@ def test_refusals_that_a_gate_only_counted_are_said_to_be_missing(tmp_path: Path
 def test_actions_in_the_words_of_another_site_are_left_out_and_plans_are_not(
     tmp_path: Path,
 ) -> None:
-    other = msgspec.structs.replace(worlds.site(), version=2)
+    other = msgspec.structs.replace(scenarios.site(), version=2)
     found = gathered(tmp_path, logs.decided(GO), logs.refused("go()"), first=logs.genesis(other))
     assert (found.proposed, len(found.plans)) == ((), 1)
     assert "another site" in found.unused[0].why
@@ -196,7 +196,7 @@ def test_a_robot_that_the_site_does_not_have_is_not_named(tmp_path: Path) -> Non
 def test_a_value_that_was_destroyed_leaves_the_rest(tmp_path: Path) -> None:
     rows = logs.rows(tmp_path, logs.decided(GO), logs.refused("go()"))
     bare = msgspec.structs.replace(rows[2], sealed=b"{}")
-    found = gather([*rows[:2], bare], worlds.site())
+    found = gather([*rows[:2], bare], scenarios.site())
     assert (len(found.proposed), found.plans) == (1, ())
 
 
@@ -205,9 +205,9 @@ def test_more_than_is_learned_from_at_once_is_refused_or_left_out(
 ) -> None:
     rows = logs.rows(tmp_path, *(logs.refused("go()") for _ in range(3)))
     monkeypatch.setattr(evidence, "MAX_PLANS", 8)
-    found = gather(rows, worlds.site())
+    found = gather(rows, scenarios.site())
     assert ([p.seq for p in found.plans], [u.seq for u in found.unused]) == ([1, 2], [3])
     monkeypatch.setattr(evidence, "MAX_RECORDS", 2)
     with pytest.raises(MalformedError) as caught:
-        gather(rows, worlds.site())
+        gather(rows, scenarios.site())
     assert caught.value.reason is Reason.INPUT_TOO_LARGE

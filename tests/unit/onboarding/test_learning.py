@@ -8,11 +8,10 @@ from random import Random
 from typing import Any
 
 import msgspec
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import shadow_logs as logs
-import worlds
 from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.decision import Verdict
@@ -24,9 +23,12 @@ from authguard_r.onboarding.evidence import Evidence, Proposed, gather
 from authguard_r.onboarding.grants import draft_of, learn
 from authguard_r.onboarding.pages import MISSION, propose, ranked, row_line
 from authguard_r.site.source import read_yaml
-from cases import Case, decide_case, oracle_case
+from fixtures import scenarios
+from fixtures import shadow_logs as logs
+from fixtures.amount import amount
+from fixtures.decision_cases import Case, decide_case, oracle_case
 
-SITE = worlds.site()
+SITE = scenarios.site()
 #: What a person answers so that nothing but the proposal's own bounds is left to refuse.
 ANSWERS: tuple[tuple[str, Any], ...] = (
     (r"task", "What was seen."),
@@ -49,7 +51,9 @@ ANSWERS: tuple[tuple[str, Any], ...] = (
     (r"risk_policy\.roles", ["supervisor"]),
     (r"risk_policy\.valid", "1 min"),
 )
-RELAXED = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+RELAXED = settings(
+    max_examples=amount(20, 60), deadline=None, suppress_health_check=list(HealthCheck)
+)
 SEEDS = st.integers(min_value=0, max_value=2**63)
 PLACES = ("dock", "pharmacy", "station-101", "public-corridor")
 
@@ -58,7 +62,7 @@ def answered(plain: object) -> Mission:
     """Return the proposed mission with every question answered as widely as may be."""
     for _ in range(5):
         try:
-            return compile_plain(plain, SITE, now=worlds.NOW, nonce="A" * 22)
+            return compile_plain(plain, SITE, now=scenarios.NOW, nonce="A" * 22)
         except ClarificationError as error:
             fields = [asked.field for asked in (error, *error.others)]
             plain = apply(plain, {field: answer(field) for field in fields})
@@ -76,7 +80,7 @@ def random_action(rnd: Random) -> tuple[Action, str]:
     if kind == "navigate":
         route = tuple(rnd.sample(PLACES, rnd.randint(0, 2)))
         speed = rnd.randint(50, 1_500)
-        return worlds.navigate(at, rnd.choice(PLACES), speed=speed, route=route), at
+        return scenarios.navigate(at, rnd.choice(PLACES), speed=speed, route=route), at
     thing = rnd.choice(["package-p1", "package-p2"])
     force = {"force_mn": rnd.randint(1, 40_000)}
     made = {
@@ -107,7 +111,7 @@ def verdict(mission: Mission, action: Action, at: str) -> Verdict:
     """Return what the gate says of an action under the mission, and that the oracle agrees."""
     meta = ActionMeta(
         planner="planner",
-        timestamp=to_timestamp(worlds.NOW.utc_ms),
+        timestamp=to_timestamp(scenarios.NOW.utc_ms),
         evidence=logs.EVIDENCE,
         mission=mission.mid,
         mission_version=mission.version,
@@ -115,9 +119,9 @@ def verdict(mission: Mission, action: Action, at: str) -> Verdict:
     case = Case(
         mission=mission,
         action=msgspec.structs.replace(action, meta=meta, provenance={}),
-        state=worlds.state(at),
-        now=worlds.NOW,
-        standing=worlds.active(worlds.verified(mission)),
+        state=scenarios.state(at),
+        now=scenarios.NOW,
+        standing=scenarios.active(scenarios.verified(mission)),
     )
     ours, theirs = decide_case(case), oracle_case(case)
     told = (str(ours.verdict), [str(reason) for reason in ours.reasons])
@@ -129,6 +133,7 @@ def row_of(action: Action) -> tuple[Any, ...]:
     return (action.type, action.tool, action.object, action.source, action.destination)
 
 
+@pytest.mark.complete
 @RELAXED
 @given(SEEDS)
 def test_every_grant_row_and_limit_is_justified_by_a_record(seed: int) -> None:
@@ -156,6 +161,7 @@ def test_every_grant_row_and_limit_is_justified_by_a_record(seed: int) -> None:
                 assert set(row.regions) == ends
 
 
+@pytest.mark.complete
 @RELAXED
 @given(SEEDS)
 def test_every_action_that_was_seen_is_accepted_and_a_changed_one_is_not(seed: int) -> None:
@@ -188,16 +194,16 @@ def test_every_action_that_was_seen_is_accepted_and_a_changed_one_is_not(seed: i
 
 def test_rows_are_never_a_cross_product() -> None:
     pairs = [("dock", "pharmacy"), ("pharmacy", "station-101")]
-    entries = [logs.decided(worlds.navigate(a, b), at=a) for a, b in pairs]
+    entries = [logs.decided(scenarios.navigate(a, b), at=a) for a, b in pairs]
     evidence = gather(logs.in_memory(*entries), SITE)
-    mission = answered(draft_of(learn(evidence.proposed), SITE, robot=worlds.RID))
-    assert verdict(mission, worlds.navigate("dock", "pharmacy"), "dock") is Verdict.ACCEPT
-    crossed = worlds.navigate("dock", "station-101")
+    mission = answered(draft_of(learn(evidence.proposed), SITE, robot=scenarios.RID))
+    assert verdict(mission, scenarios.navigate("dock", "pharmacy"), "dock") is Verdict.ACCEPT
+    crossed = scenarios.navigate("dock", "station-101")
     assert verdict(mission, crossed, "dock") is Verdict.REJECT
 
 
 def test_what_the_log_cannot_say_is_asked_and_what_never_was_is_zero() -> None:
-    evidence = gather(logs.in_memory(logs.decided(worlds.navigate("dock", "pharmacy"))), SITE)
+    evidence = gather(logs.in_memory(logs.decided(scenarios.navigate("dock", "pharmacy"))), SITE)
     proposals = propose(evidence, SITE, None)
     asked = {field for field, _ in proposals.questions}
     assert {"task", "issuer", "window", "place_max_age", "on_refusal", "risk_policy.tau_1"} < asked
@@ -227,12 +233,12 @@ def test_rows_that_an_input_had_mentioned_come_first_and_say_so() -> None:
         evidence=logs.EVIDENCE,
     )
     entries = (
-        logs.decided(worlds.navigate("dock", "pharmacy")),
-        logs.decided(worlds.navigate("dock", "station-103"), influences=(notice,)),
+        logs.decided(scenarios.navigate("dock", "pharmacy")),
+        logs.decided(scenarios.navigate("dock", "station-103"), influences=(notice,)),
     )
     evidence = gather(logs.in_memory(*entries), SITE)
     unlooked = msgspec.structs.replace(
-        evidence.proposed[0], influences=None, action=worlds.navigate("dock", "office-1")
+        evidence.proposed[0], influences=None, action=scenarios.navigate("dock", "office-1")
     )
     rows = ranked(learn((*evidence.proposed, unlooked)))
     assert [row.destination for _, row in rows] == ["station-103", "office-1", "pharmacy"]
@@ -242,7 +248,7 @@ def test_rows_that_an_input_had_mentioned_come_first_and_say_so() -> None:
 
 def test_a_mission_has_room_for_so_many_grants_and_rows_and_the_rest_is_said() -> None:
     def item(seq: int, **changes: Any) -> Proposed:
-        action = worlds.navigate("dock", "pharmacy", **changes)
+        action = scenarios.navigate("dock", "pharmacy", **changes)
         return Proposed(seq=seq, action=action, place=frozenset(), influences=())
 
     tools = [item(n, tool=f"tool-{n}") for n in range(MAX_GRANTS + 3)]
@@ -268,7 +274,7 @@ def test_grants_whose_names_would_meet_or_be_too_long_get_numbers() -> None:
 
 def test_the_way_home_is_a_grant_of_its_own_and_says_that_it_wants_a_guard() -> None:
     ends = [("dock", "pharmacy"), ("pharmacy", "dock"), ("pharmacy", "station-101")]
-    entries = [logs.decided(worlds.navigate(a, b), at=a) for a, b in ends]
+    entries = [logs.decided(scenarios.navigate(a, b), at=a) for a, b in ends]
     evidence = gather(logs.in_memory(*entries), SITE)
     for robot in (evidence.robot, None):
         proposals = propose(msgspec.structs.replace(evidence, robot=robot), SITE, None)

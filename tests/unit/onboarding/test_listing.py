@@ -21,7 +21,9 @@ from authguard_r.onboarding.listing import (
     read_mcp,
     read_openai,
 )
-from patience import at_most
+from fixtures.amount import amount
+from fixtures.cases import case
+from fixtures.time_bounds import at_most
 
 SCHEMA = {
     "type": "object",
@@ -96,9 +98,8 @@ def test_functions_may_stand_one_a_line_and_may_have_no_arguments() -> None:
     assert all(t.fields == {} for t in read_openai(text, where="f"))
 
 
-@pytest.mark.parametrize(
-    ("text", "where", "told"),
-    [
+def test_a_bad_list_is_refused_with_its_place() -> None:
+    for text, where, told in [
         ("", "f", "got nothing"),
         ("{", "f[", "expect"),
         ("[1, 2", "f[", "expect"),
@@ -121,13 +122,12 @@ def test_functions_may_stand_one_a_line_and_may_have_no_arguments() -> None:
         (mcp(tool(properties={"x": {}, "X": {}})), "of go: X", "in case"),
         (mcp(tool(), nextCursor="more"), "f:nextCursor", "whole list"),
         ("[" * 40 + "]" * 40, "f[", "levels"),
-    ],
-)
-def test_a_bad_list_is_refused_with_its_place(text: str, where: str, told: str) -> None:
-    with pytest.raises(MalformedError) as caught:
-        read_mcp(list_text(text.encode(), where="f"), where="f")
-    assert where in caught.value.where
-    assert told in caught.value.message.lower()
+    ]:
+        with case(text, where, told):
+            with pytest.raises(MalformedError) as caught:
+                read_mcp(list_text(text.encode(), where="f"), where="f")
+            assert where in caught.value.where
+            assert told in caught.value.message.lower()
 
 
 def test_what_a_server_does_itself_passes_no_gate_so_it_is_not_listed() -> None:
@@ -280,7 +280,7 @@ JSONS = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(JSONS)
 def test_whatever_json_is_a_list_or_an_error_with_a_place(value: Any) -> None:
     text = json.dumps(value)
@@ -293,7 +293,7 @@ def test_whatever_json_is_a_list_or_an_error_with_a_place(value: Any) -> None:
     assert all(place.startswith(("f", "list")) for place in places)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=amount(40, 200), deadline=None)
 @given(st.text(max_size=200))
 def test_whatever_text_is_a_list_or_an_error_with_a_place(text: str) -> None:
     places: list[str] = []

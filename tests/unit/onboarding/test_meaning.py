@@ -10,8 +10,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import shadow_logs as logs
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.normalize import Binder, Dialect, normalize
@@ -24,6 +22,9 @@ from authguard_r.onboarding.pages import BINDING, MISSION, SITE, Proposals, prop
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_yaml
 from authguard_r.site.words import standard_words
+from fixtures import scenarios
+from fixtures import shadow_logs as logs
+from fixtures.amount import amount
 
 EMPTY = Binding(schema="authguard-r/binding/1", id=Identifier("empty"), tools={})
 #: Squares 1 to 3, things 1 and 2, the standard words, no robot that says what it can do.
@@ -184,14 +185,14 @@ def test_names_that_the_site_does_not_know_are_comments_and_nobodys_geometry() -
 
 def test_the_robots_own_types_and_tools_come_first() -> None:
     found = learned(
-        logs.call("go", room="Dock", speed_m_s=1), logs.call("hush", x=1), site=worlds.site()
+        logs.call("go", room="Dock", speed_m_s=1), logs.call("hush", x=1), site=scenarios.site()
     )
-    (way,) = ways(bound(found, worlds.site()))
+    (way,) = ways(bound(found, scenarios.site()))
     assert (way.tool.type, way.tool.tool) == ("navigate", "base")
     # this site has no type for what is refused: the other tool is told of, and not bound
     assert '#   "hush":' in found.files[BINDING]
-    none = learned(logs.call("hush", x=1), site=worlds.site())
-    assert bound(none, worlds.site()).tools == {}
+    none = learned(logs.call("hush", x=1), site=scenarios.site())
+    assert bound(none, scenarios.site()).tools == {}
 
 
 def test_a_binding_that_reads_the_plans_makes_actions_and_leaves_what_it_does_not_read() -> None:
@@ -201,8 +202,8 @@ def test_a_binding_that_reads_the_plans_makes_actions_and_leaves_what_it_does_no
         logs.call("navigate_to", destination="Cellar"),
         logs.call("fly"),
         logs.call("relocalize", place="Dock"),
-        site=worlds.site(),
-        binding=worlds.binding(),
+        site=scenarios.site(),
+        binding=scenarios.binding(),
     )
     assert [(g.type, g.starts) for g in found.learned.grants] == [
         ("navigate", 1),
@@ -210,8 +211,8 @@ def test_a_binding_that_reads_the_plans_makes_actions_and_leaves_what_it_does_no
     ]
     left = {meaning.key[0] for meaning in found.meanings if not meaning.about.endswith("already")}
     assert left == {"navigate_to", "fly", "relocalize"}
-    tools = bound(found, worlds.site()).tools
-    assert {name: tools[name] for name in worlds.binding().tools} == worlds.binding().tools
+    tools = bound(found, scenarios.site()).tools
+    assert {name: tools[name] for name in scenarios.binding().tools} == scenarios.binding().tools
     assert {"grants[0].rows[0].source", "grants[1].rows[0].source"} < {
         f for f, _ in found.questions
     }
@@ -319,7 +320,7 @@ def leaves(node: Any, prefix: str = "") -> dict[str, Any]:
     }
 
 
-@settings(max_examples=250, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=amount(50, 250), deadline=None, suppress_health_check=list(HealthCheck))
 @given(CALLS)
 def test_whatever_a_planner_wrote_nothing_is_proposed_that_did_not_occur(
     calls: list[tuple[str, dict[str, Any]]],
@@ -348,7 +349,7 @@ def test_whatever_a_planner_wrote_nothing_is_proposed_that_did_not_occur(
             normalize(plan.encode(), binder=binder, dialect=Dialect.JSON)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=amount(40, 200), deadline=None)
 @given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
 def test_whatever_bytes_a_planner_wrote_are_read_or_left_out_with_a_reason(data: bytes) -> None:
     found = learned(data)

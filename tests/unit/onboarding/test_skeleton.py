@@ -22,7 +22,8 @@ from authguard_r.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.names import skeleton as look
 from authguard_r.site.source import convert, parse_site, read_yaml
-from patience import at_most
+from fixtures.amount import amount
+from fixtures.time_bounds import at_most
 
 NAMES = st.from_regex(r"\A[a-z][a-z0-9_]{0,8}\Z")
 KINDS = st.sampled_from(["string", "number", "integer", "boolean", "array", "object", "null"])
@@ -91,7 +92,8 @@ def refusal(binder: Binder, plan: Any, dialect: Dialect) -> Reason:
     return caught.value.reason
 
 
-@settings(max_examples=150, deadline=None)
+@pytest.mark.complete
+@settings(max_examples=amount(30, 150), deadline=None)
 @given(TOOLS, st.data())
 def test_whatever_one_calls_with_whatever_arguments_is_refused(
     tools: dict[str, Any], data: st.DataObject
@@ -114,7 +116,8 @@ def test_whatever_one_calls_with_whatever_arguments_is_refused(
 OF_GRAPH = binder_of(skeleton(GRAPH, Source.ROS))
 
 
-@settings(max_examples=150, deadline=None)
+@pytest.mark.complete
+@settings(max_examples=amount(30, 150), deadline=None)
 @given(
     st.sampled_from(["/cmd_vel", "/other", "/reset", "/b/set", "/go", "/unknown"]),
     st.dictionaries(NAMES, VALUES),
@@ -133,7 +136,8 @@ def test_whatever_is_published_called_or_sent_is_refused(name: str, body: dict[s
         }
 
 
-@settings(max_examples=100, deadline=None)
+@pytest.mark.complete
+@settings(max_examples=amount(25, 100), deadline=None)
 @given(TOOLS)
 def test_the_check_finds_nothing_unmapped_by_our_list_and_by_the_first_one(
     tools: dict[str, Any],

@@ -15,8 +15,8 @@ from authguard_r.ros.calls import fitted
 from authguard_r.site.model import Site
 from authguard_r.site.source import parse_site, read_site
 from authguard_r.tools.given import given_binding
-from keystores import example, map_of, plain_map
-from worlds import ROOT
+from fixtures.ros_keystores import example, map_of, plain_map
+from fixtures.scenarios import ROOT
 
 HERE = ROOT / "examples" / "ros"
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.provenance import Label
 from authguard_r.ros.channels import require_channels
 from authguard_r.ros.map import RosMap
-from keystores import example
+from fixtures import scenarios
+from fixtures.ros_keystores import example
 
 
 def shown_by(channel: str) -> RosMap:
@@ -25,12 +25,12 @@ def shown_by(channel: str) -> RosMap:
 
 def test_a_channel_that_the_site_does_not_have_is_refused_with_its_place() -> None:
     with pytest.raises(MalformedError) as failed:
-        require_channels(shown_by("rumor"), worlds.site())
+        require_channels(shown_by("rumor"), scenarios.site())
     assert failed.value.where == "map.shown.sign.channel"
 
 
 def test_shipped_channels_the_sites_own_and_none_are_taken() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     for channel in ("", "ocr", "tool"):
         require_channels(shown_by(channel), site)
     own = replace(site, channels={Identifier("rumor"): Label.MEMORY})

@@ -20,7 +20,7 @@ from authguard_r.ros.documents import governance, governance_faults, read_permis
 from authguard_r.ros.keycheck import Code, Fault, check_enclave, check_keystore
 from authguard_r.ros.keystore import ENCLAVES, KEY, PRIVATE, PUBLIC, make_keystore
 from authguard_r.ros.rights import rights_of
-from keystores import NOW, certify, example, home, map_of, plain_map, resign
+from fixtures.ros_keystores import NOW, certify, example, home, map_of, plain_map, resign
 
 PLANNER, GATE, BASE = "/llm/planner", "/authguard/gate", "/robot/base"
 GOAL = "<topic>rt/llm/cmd_vel</topic>"

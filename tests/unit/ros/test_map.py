@@ -14,7 +14,8 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.ros.map import read_map
 from authguard_r.ros.names import is_enclave, is_name, part_of
-from keystores import EXAMPLE, example, map_of, plain_map
+from fixtures.cases import case
+from fixtures.ros_keystores import EXAMPLE, example, map_of, plain_map
 
 
 def put(path: str, value: Any) -> dict[str, Any]:
@@ -38,9 +39,8 @@ def test_the_examples_map_is_one() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "place"),
-    [
+def test_a_map_with_a_fault_is_none_and_says_where() -> None:
+    for path, value, place in [
         ("schema", "authguard-r/ros-map/2", "schema"),
         ("robot", "Courier 1", "robot"),
         ("robot", "", "robot"),
@@ -85,12 +85,11 @@ def test_the_examples_map_is_one() -> None:
         ("proposals|ask", "/propose", "proposals.ask"),
         ("mediated|navigate|speed", 1, "mediated.navigate"),
         ("mediated|navigate|kind", "topic", "mediated.navigate.kind"),
-    ],
-)
-def test_a_map_with_a_fault_is_none_and_says_where(path: str, value: Any, place: str) -> None:
-    with pytest.raises(MalformedError) as failed:
-        map_of(put(path, value))
-    assert place in failed.value.where
+    ]:
+        with case(path, value, place):
+            with pytest.raises(MalformedError) as failed:
+                map_of(put(path, value))
+            assert place in failed.value.where
 
 
 def test_l2_names_are_the_executors_own_and_never_patterns() -> None:

@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from worlds import ROOT
+from fixtures.scenarios import ROOT
 
 PACKAGE = ROOT / "ros2" / "authguard_ros"
 LAUNCH = PACKAGE / "launch" / "guarded.launch.py"

@@ -15,7 +15,8 @@ import pytest
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.ros.keystore import KEY, make_keystore
 from authguard_r.ros.security import EXACTLY, require_security, security_faults
-from keystores import example, home, map_of, plain_map
+from fixtures.cases import case
+from fixtures.ros_keystores import example, home, map_of, plain_map
 
 GATE = "/authguard/gate"
 
@@ -48,9 +49,8 @@ def test_with_exactly_the_right_words_and_files_it_is_in_its_enclave(made: Path)
         assert require_security(example(), GATE, environment(made, **more)) == made
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
+def test_l7_a_wrong_word_is_a_refusal_and_not_a_plain_node(made: Path) -> None:
+    for name, value in [
         ("ROS_SECURITY_ENABLE", None),
         ("ROS_SECURITY_ENABLE", "TRUE"),
         ("ROS_SECURITY_ENABLE", "True"),
@@ -71,14 +71,11 @@ def test_with_exactly_the_right_words_and_files_it_is_in_its_enclave(made: Path)
         ("ROS_DOMAIN_ID", None),
         ("ROS_DOMAIN_ID", "0"),
         ("ROS_DOMAIN_ID", "042"),
-    ],
-)
-def test_l7_a_wrong_word_is_a_refusal_and_not_a_plain_node(
-    made: Path, name: str, value: str | None
-) -> None:
-    with pytest.raises(EnvironmentFault, match="a node that anybody can be") as failed:
-        require_security(example(), GATE, environment(made, **{name: value}))
-    assert failed.value.where == name
+    ]:
+        with case(name, value):
+            with pytest.raises(EnvironmentFault, match="a node that anybody can be") as failed:
+                require_security(example(), GATE, environment(made, **{name: value}))
+            assert failed.value.where == name
 
 
 def test_a_process_does_not_start_in_an_enclave_of_another_robot(tmp_path: Path) -> None:

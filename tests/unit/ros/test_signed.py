@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
 from authguard_r.ros.keystore import authority, pem
 from authguard_r.ros.signed import MAX_SIGNED, open_text, sign_text
-from keystores import NOW
+from fixtures.ros_keystores import NOW
 
 BY, OTHER = authority("permissions", NOW), authority("other", NOW)
 TEXT = b"<dds>\r\n  <permissions/>\r\n</dds>"

@@ -17,7 +17,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.encoding import Tag, decode, digest_of
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.safety import SafetyDecision
@@ -31,11 +30,13 @@ from authguard_r.safety import (
     default_config,
     gate_of,
 )
+from fixtures import scenarios
+from fixtures.cases import case
 from unit.safety.faulty_checker import ANSWERS, BYTES
 
 HERE = Path(__file__).parent
-EXAMPLE = worlds.ROOT / "examples" / "safety" / "checker.py"
-SLOW, FAST = (worlds.navigate("dock", "pharmacy", speed=speed) for speed in (300, 301))
+EXAMPLE = scenarios.ROOT / "examples" / "safety" / "checker.py"
+SLOW, FAST = (scenarios.navigate("dock", "pharmacy", speed=speed) for speed in (300, 301))
 #: Nobody waits that long but for one who never answers, milliseconds.
 PATIENT, SHORT = 1_000, 100
 
@@ -63,7 +64,9 @@ def checker(path: str, *, timeout_ms: int = PATIENT, **more: Any) -> Checker:
 
 
 def ask(gate: Any, action: Any = SLOW, state: AttestedState | None = None) -> SafetyDecision:
-    told: SafetyDecision = gate.assess(action, state or worlds.state(), worlds.facts(), worlds.NOW)
+    told: SafetyDecision = gate.assess(
+        action, state or scenarios.state(), scenarios.facts(), scenarios.NOW
+    )
     assert told.safe == (not told.findings)
     return told
 
@@ -108,12 +111,12 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_whatever_is_wrong_with_an_answer_the_action_is_unsafe(fault: str) -> None:
-    with process(HERE / "faulty_checker.py", fault) as path:
-        told = ask(ExternalGate(checker(path)))
-        assert not told.safe
-        assert FAULTS[fault] in refused(told)
+def test_whatever_is_wrong_with_an_answer_the_action_is_unsafe() -> None:
+    for fault, value in FAULTS.items():
+        with case(fault), process(HERE / "faulty_checker.py", fault) as path:
+            told = ask(ExternalGate(checker(path)))
+            assert not told.safe
+            assert value in refused(told)
 
 
 def test_every_fault_that_can_be_made_is_tried() -> None:
@@ -180,7 +183,7 @@ def test_the_example_answers_and_is_asked_without_a_state_too() -> None:
             assert ask(gate, SLOW).safe
         (finding,) = ask(gate, FAST).findings
         assert (finding.expected, finding.got) == ("at most 300", "301")
-        assert gate.assess(SLOW, None, worlds.facts(), worlds.NOW).safe
+        assert gate.assess(SLOW, None, scenarios.facts(), scenarios.NOW).safe
 
 
 def test_the_question_is_what_the_page_says(tmp_path: Path) -> None:
@@ -197,7 +200,7 @@ def test_the_question_is_what_the_page_says(tmp_path: Path) -> None:
     assert sorted(asked) == ["action", "effect", "id", "protocol", "robot", "site", "state", "time"]
     assert asked["action"] == digest_of(Tag.ACTION, SLOW)
     assert asked["effect"]["destination"] == "pharmacy"
-    assert asked["robot"] == worlds.RID
+    assert asked["robot"] == scenarios.RID
     (state,) = asked["state"]
     assert (sorted(state), state["place"], state["age_ms"]) == (
         ["age_ms", "place", "snapshot"],
@@ -210,14 +213,14 @@ def test_the_question_is_what_the_page_says(tmp_path: Path) -> None:
 
 
 def configured(**changes: Any) -> SafetyConfig:
-    return msgspec.structs.replace(default_config(worlds.site(), worlds.RID), **changes)
+    return msgspec.structs.replace(default_config(scenarios.site(), scenarios.RID), **changes)
 
 
 def test_a_checker_cannot_widen_the_envelope() -> None:
     with process(HERE / "faulty_checker.py", "right") as path:
         gate = gate_of(configured(checker=checker(path)))
         assert ask(gate).safe
-        told = ask(gate, worlds.navigate("dock", "plant-room", speed=300))
+        told = ask(gate, scenarios.navigate("dock", "plant-room", speed=300))
         assert [str(f.hazard) for f in told.findings] == ["KEEP_OUT"]
 
 
@@ -225,12 +228,12 @@ def test_the_envelope_cannot_widen_a_checker() -> None:
     with process(EXAMPLE) as path:
         gate = gate_of(configured(checker=checker(path)))
         assert [str(f.hazard) for f in ask(gate, FAST).findings] == ["RULE"]
-        both = ask(gate, worlds.navigate("dock", "plant-room", speed=1_501))
+        both = ask(gate, scenarios.navigate("dock", "plant-room", speed=1_501))
         assert [str(f.hazard) for f in both.findings] == ["SPEED", "KEEP_OUT", "RULE"]
 
 
 def test_a_repair_is_offered_only_when_all_would_call_it_safe() -> None:
-    fast = worlds.navigate("dock", "pharmacy", speed=1_501)
+    fast = scenarios.navigate("dock", "pharmacy", speed=1_501)
     assert ask(EnvelopeGate(configured()), fast).repair is not None
     with process(EXAMPLE) as path:
         here = checker(path)

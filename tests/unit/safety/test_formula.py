@@ -22,6 +22,7 @@ from authguard_r.safety.temporal.formula import (
     negated,
 )
 from authguard_r.safety.temporal.parse import MAX_DEPTH, MAX_LENGTH, parse
+from fixtures.cases import case
 
 
 def word(field: str, value: str | int, test: Comparison = Comparison.EQUAL) -> Formula:
@@ -32,9 +33,8 @@ P, Q, R = (word("type", name) for name in ("p", "q", "r"))
 NO = negated
 
 
-@pytest.mark.parametrize(
-    ("text", "formula"),
-    [
+def test_every_part_of_the_grammar_has_one_reading() -> None:
+    for text, formula in [
         ("true", TRUE),
         ("!true", FALSE),
         ("  type = p ", P),
@@ -75,15 +75,13 @@ NO = negated
         ("state.far <= 7", word("state.far", 7, Comparison.AT_MOST)),
         ("state.a.b = 007", word("state.a.b", "007")),
         (f"params.v <= {MAX_INTEGER}", word("params.v", MAX_INTEGER, Comparison.AT_MOST)),
-    ],
-)
-def test_every_part_of_the_grammar_has_one_reading(text: str, formula: Formula) -> None:
-    assert parse(text) == formula
+    ]:
+        with case(text, formula):
+            assert parse(text) == formula
 
 
-@pytest.mark.parametrize(
-    ("text", "column"),
-    [
+def test_an_unknown_atom_and_any_other_text_is_refused_with_its_column() -> None:
+    for text, column in [
         ("", 1),
         ("   ", 4),
         ("type", 5),
@@ -121,14 +119,11 @@ def test_every_part_of_the_grammar_has_one_reading(text: str, formula: Formula) 
         ("type = p\n", 9),
         ("type = \u0440", 8),
         ("type = " + "a" * 65, 8),
-    ],
-)
-def test_an_unknown_atom_and_any_other_text_is_refused_with_its_column(
-    text: str, column: int
-) -> None:
-    with pytest.raises(MalformedError) as refused:
-        parse(text, where="rule")
-    assert refused.value.where == f"rule:{column}"
+    ]:
+        with case(text, column):
+            with pytest.raises(MalformedError) as refused:
+                parse(text, where="rule")
+            assert refused.value.where == f"rule:{column}"
 
 
 def test_a_formula_is_neither_long_nor_deep() -> None:

@@ -9,18 +9,17 @@ from typing import Any
 import msgspec
 import pytest
 
-import lanes
-import worlds
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.gate.process import ASKED_MS, Rendezvous
 from authguard_r.safety import Checker, Rule, SafetyConfig, default_config
 from authguard_r.wire.messages import ClientRole
-from unit.gate.house import SCAN
+from fixtures import estop_fixtures, scenarios
+from unit.gate.demo_site import SCAN
 from unit.gate.test_process import activate, client, parts, robot, served
 
 
 def config(**changes: Any) -> SafetyConfig:
-    return msgspec.structs.replace(default_config(worlds.site(), worlds.RID), **changes)
+    return msgspec.structs.replace(default_config(scenarios.site(), scenarios.RID), **changes)
 
 
 def safe(told: dict[str, Any]) -> list[bool]:
@@ -29,7 +28,7 @@ def safe(told: dict[str, Any]) -> list[bool]:
 
 def test_a_gate_and_its_what_ifs_go_by_what_was_released() -> None:
     once = Rule(id="once", formula="G (type = scan_obstacles -> WX G type != scan_obstacles)")
-    made = parts(lanes.files(), os.open(os.devnull, os.O_WRONLY), simulated=robot())
+    made = parts(estop_fixtures.files(), os.open(os.devnull, os.O_WRONLY), simulated=robot())
 
     def work(told: Rendezvous) -> None:
         activate(told)
@@ -59,7 +58,7 @@ def test_a_gate_and_its_what_ifs_go_by_what_was_released() -> None:
 def test_a_gate_that_cannot_ask_as_it_should_does_not_start(
     changes: dict[str, Any], fault: type[Exception]
 ) -> None:
-    made = parts(lanes.files(), os.open(os.devnull, os.O_WRONLY), safety=config(**changes))
+    made = parts(estop_fixtures.files(), os.open(os.devnull, os.O_WRONLY), safety=config(**changes))
     with pytest.raises(fault) as refused:
         served(made, lambda told: None)
     assert refused.value.where.startswith("safety.")  # type: ignore[attr-defined]

@@ -16,7 +16,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.assembly import Simulation, simulate
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
@@ -34,6 +33,7 @@ from authguard_r.report import Report
 from authguard_r.running import Running
 from authguard_r.safety import EnvelopeGate, Rule, SafetyConfig, Together, default_config
 from authguard_r.safety.kept import LOST, Kept, memory_of, remember, settle_memory
+from fixtures import scenarios
 
 SCAN = Action(type="scan_obstacles", tool="lidar")
 TELL = Action(type="announce", tool="speaker")
@@ -56,7 +56,7 @@ def mission(**changes: Any) -> Mission:
         "planner_stops": 0,
     }
     wanted = {"mission": MID, "grants": [look, tell], "closing": None, "budgets": budgets}
-    return worlds.mission(**{**wanted, "window": {"for": "20 h"}, **changes})
+    return scenarios.mission(**{**wanted, "window": {"for": "20 h"}, **changes})
 
 
 def irreversible() -> Mission:
@@ -73,7 +73,7 @@ LOOKED = "type != announce W type = scan_obstacles"
 
 def config(*formulas: str) -> SafetyConfig:
     rules = tuple(Rule(id=f"rule-{n}", formula=text) for n, text in enumerate(formulas))
-    return msgspec.structs.replace(default_config(worlds.site(), worlds.RID), rules=rules)
+    return msgspec.structs.replace(default_config(scenarios.site(), scenarios.RID), rules=rules)
 
 
 def begin(
@@ -81,16 +81,16 @@ def begin(
 ) -> Simulation:
     """Return a gate with these rules whose mission is active."""
     sim = simulate(
-        worlds.trust_folder(),
-        worlds.site(),
-        worlds.binding(),
-        rid=worlds.RID,
-        start_ms=worlds.START_MS + start_ms,
+        scenarios.trust_folder(),
+        scenarios.site(),
+        scenarios.binding(),
+        rid=scenarios.RID,
+        start_ms=scenarios.START_MS + start_ms,
         store=store,
         safety=config(*formulas),
     )
     if sim.gate.ledger.run(lambda act: act.active()) is None:
-        sim.gate.management.activate(worlds.token(made or mission()))
+        sim.gate.management.activate(scenarios.token(made or mission()))
     return sim
 
 
@@ -121,15 +121,15 @@ def put(sim: Simulation, data: bytes) -> None:
 def test_a_release_moves_the_memory_and_a_refusal_does_not() -> None:
     sim = begin(ONCE)
     assert memory(sim) == b""
-    assert safe(worlds.propose(sim, SCAN))
+    assert safe(scenarios.propose(sim, SCAN))
     looked = held(sim)
     assert (looked.actions, unb64(looked.succeeded)) == (1, memory(sim))
-    assert safe(worlds.propose(sim, TELL))
+    assert safe(scenarios.propose(sim, TELL))
     told = held(sim)
     assert told.actions == 2
-    assert not safe(worlds.propose(sim, TELL))
+    assert not safe(scenarios.propose(sim, TELL))
     assert held(sim) == told
-    unauthorized = worlds.propose(sim, worlds.navigate("dock", "pharmacy"))
+    unauthorized = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert str(unauthorized.judged.decision.verdict) == "reject"
     assert held(sim) == told
     assert sim.gate.management.standing(MID).actions == 2
@@ -151,8 +151,8 @@ def moved(sim: Simulation) -> list[tuple[int, Action]]:
 def test_a_record_says_what_was_unsafe_and_not_what_is_remembered() -> None:
     """Whoever may read the actions can follow the rules; the record's open part tells nothing."""
     sim = begin(ONCE)
-    worlds.propose(sim, TELL)
-    worlds.propose(sim, TELL)
+    scenarios.propose(sim, TELL)
+    scenarios.propose(sim, TELL)
     rows = sim.gate.ledger.peek(lambda turn: turn.rows(0, 1_000))
     records = [read_record(row[1], where="record") for row in rows]
     told = [record.open["safety"] for record in records if record.kind == "decision"]
@@ -161,29 +161,29 @@ def test_a_record_says_what_was_unsafe_and_not_what_is_remembered() -> None:
 
 def test_without_rules_nothing_is_held() -> None:
     sim = begin()
-    assert safe(worlds.propose(sim, TELL))
+    assert safe(scenarios.propose(sim, TELL))
     assert sim.gate.ledger.peek(lambda turn: turn.get("safety", MID)) is None
 
 
 def test_a_new_mission_begins_with_fresh_memory() -> None:
     sim = begin(ONCE)
-    assert [safe(worlds.propose(sim, TELL)) for _ in range(2)] == [True, False]
+    assert [safe(scenarios.propose(sim, TELL)) for _ in range(2)] == [True, False]
     order(sim, Verb.REVOKE)
-    sim.gate.management.activate(worlds.token(mission(mission="other-looks")))
-    assert [safe(worlds.propose(sim, TELL)) for _ in range(2)] == [True, False]
+    sim.gate.management.activate(scenarios.token(mission(mission="other-looks")))
+    assert [safe(scenarios.propose(sim, TELL)) for _ in range(2)] == [True, False]
 
 
 def test_the_next_version_of_a_mission_goes_on_with_the_memory() -> None:
     sim = begin(ONCE)
-    assert safe(worlds.propose(sim, TELL))
+    assert safe(scenarios.propose(sim, TELL))
     standing = sim.gate.management.standing(MID)  # type: ignore[arg-type]
     assert standing is not None
     second = msgspec.structs.replace(
         mission(), version=2, supersedes=standing.digest, nonce=b64(b"2" * 16)
     )
-    sim.gate.management.activate(worlds.token(second))
+    sim.gate.management.activate(scenarios.token(second))
     assert sim.gate.management.standing(MID).version == 2
-    assert not safe(worlds.propose(sim, TELL))
+    assert not safe(scenarios.propose(sim, TELL))
 
 
 def order(sim: Simulation, verb: Verb, **more: Any) -> None:
@@ -198,7 +198,7 @@ def order(sim: Simulation, verb: Verb, **more: Any) -> None:
         expires_ms=sim.robot.wall_ms() + 60_000,
         **more,
     )
-    signer = worlds.folder_signer(worlds.trust_folder(), "operator-1")
+    signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
     sim.gate.management.command(sign_object(made, Tag.COMMAND, signer))
 
 
@@ -219,20 +219,20 @@ def test_what_was_never_started_was_never_done() -> None:
         begun = sim.robot.dispatch
         refuse_to_begin(sim)
         first = TELL if formula == ONCE else SCAN
-        report = worlds.propose(sim, first)
+        report = scenarios.propose(sim, first)
         assert report.outcome is Outcome.NOT_STARTED
         assert (memory(sim), held(sim).actions) == (b"", 1)
         sim.robot.dispatch = begun  # type: ignore[method-assign]
-        assert safe(worlds.propose(sim, TELL)) is then
+        assert safe(scenarios.propose(sim, TELL)) is then
 
 
 def test_what_cannot_be_undone_is_not_believed_to_be_undone() -> None:
     sim = begin(ONCE, made=irreversible())
     begun = sim.robot.dispatch
     refuse_to_begin(sim)
-    assert worlds.propose(sim, TELL).outcome is Outcome.NOT_STARTED
+    assert scenarios.propose(sim, TELL).outcome is Outcome.NOT_STARTED
     sim.robot.dispatch = begun  # type: ignore[method-assign]
-    assert not safe(worlds.propose(sim, TELL))
+    assert not safe(scenarios.propose(sim, TELL))
 
 
 @pytest.mark.parametrize("outcome", [Outcome.FAILED, Outcome.ABORTED, Outcome.UNKNOWN])
@@ -245,7 +245,7 @@ def test_what_did_not_succeed_may_have_happened_and_may_not(outcome: Outcome) ->
             ticket = sim.gate.management.standing(MID).open[0].ticket
             order(sim, Verb.RESOLVE, ticket=ticket, outcome=Outcome.FAILED)
             order(sim, Verb.RESUME)
-        assert not safe(worlds.propose(sim, TELL))
+        assert not safe(scenarios.propose(sim, TELL))
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_an_operator_who_resolves_says_how_it_ended(outcome: Outcome, then: bool
     ticket = sim.gate.management.standing(MID).open[0].ticket
     order(sim, Verb.RESOLVE, ticket=ticket, outcome=outcome)
     order(sim, Verb.RESUME)
-    assert safe(worlds.propose(sim, TELL)) is then
+    assert safe(scenarios.propose(sim, TELL)) is then
 
 
 def _ended(sim: Simulation, action: Action, outcome: Outcome) -> Report:
@@ -279,7 +279,7 @@ def _ended(sim: Simulation, action: Action, outcome: Outcome) -> Report:
 
     flight: Any = None
     sim.robot.dispatch = dispatch  # type: ignore[method-assign]
-    report: Report = worlds.propose(sim, action)
+    report: Report = scenarios.propose(sim, action)
     sim.robot.dispatch = begun  # type: ignore[method-assign]
     assert report.outcome is outcome
     return report
@@ -317,16 +317,16 @@ def test_rules_that_begin_in_the_middle_of_a_mission_do_not_know_what_was_done(
 ) -> None:
     store = tmp_path / "robot.db"
     sim = begin(store=store)
-    assert safe(worlds.propose(sim, TELL))
+    assert safe(scenarios.propose(sim, TELL))
     sim.gate.close()
     later = begin(ONCE, store=store, start_ms=60_000)
     assert memory(later) == LOST
-    report = worlds.propose(later, TELL)
+    report = scenarios.propose(later, TELL)
     assert not safe(report)
     assert [str(f.hazard) for f in report.judged.safety.findings] == ["STATE_UNKNOWN"]
     order(later, Verb.REVOKE)
-    later.gate.management.activate(worlds.token(mission(mission="other-looks")))
-    assert safe(worlds.propose(later, TELL))
+    later.gate.management.activate(scenarios.token(mission(mission="other-looks")))
+    assert safe(scenarios.propose(later, TELL))
     later.gate.close()
 
 
@@ -342,23 +342,23 @@ def test_rules_that_begin_in_the_middle_of_a_mission_do_not_know_what_was_done(
 )
 def test_a_memory_that_somebody_touched_is_none(touch: Any) -> None:
     sim = begin(ONCE)
-    assert safe(worlds.propose(sim, SCAN))
+    assert safe(scenarios.propose(sim, SCAN))
     put(sim, touch(held(sim)))
-    report = worlds.propose(sim, SCAN)
+    report = scenarios.propose(sim, SCAN)
     assert report.judged is None or not safe(report)
     assert sim.gate.management.standing(MID).actions == 1
 
 
 def test_the_memory_of_another_mission_in_its_place_is_none() -> None:
     sim = begin(ONCE)
-    assert safe(worlds.propose(sim, TELL))
+    assert safe(scenarios.propose(sim, TELL))
     order(sim, Verb.REVOKE)
-    sim.gate.management.activate(worlds.token(mission(mission="other-looks")))
-    assert safe(worlds.propose(sim, SCAN))
+    sim.gate.management.activate(scenarios.token(mission(mission="other-looks")))
+    assert safe(scenarios.propose(sim, SCAN))
     fresh = sim.gate.ledger.peek(lambda turn: turn.get("safety", "other-looks"))
     stolen = msgspec.structs.replace(decode(fresh, Kept), memory=held(sim).memory)
     sim.gate.ledger.run(lambda act: act.put("safety", "other-looks", encode_fast(stolen)))
-    assert not safe(worlds.propose(sim, SCAN))
+    assert not safe(scenarios.propose(sim, SCAN))
 
 
 # restarts
@@ -367,15 +367,15 @@ def test_the_memory_of_another_mission_in_its_place_is_none() -> None:
 def live(store: str) -> None:
     """Be a gate on a store: announce, start another look, say so, and wait to be killed."""
     sim = begin(ONCE, LOOKED, store=Path(store))
-    assert safe(worlds.propose(sim, SCAN))
-    assert safe(worlds.propose(sim, TELL))
+    assert safe(scenarios.propose(sim, SCAN))
+    assert safe(scenarios.propose(sim, TELL))
 
     def dispatch(*_: Any) -> Any:
         os.write(1, b"moving\n")
         signal.pause()
 
     sim.robot.dispatch = dispatch  # type: ignore[method-assign]
-    worlds.propose(sim, SCAN)
+    scenarios.propose(sim, SCAN)
 
 
 def test_kill_9_while_the_robot_moves_leaves_the_memory_of_all_that_was_released(
@@ -385,12 +385,12 @@ def test_kill_9_while_the_robot_moves_leaves_the_memory_of_all_that_was_released
     code = f"from unit.safety import test_kept as t; t.live({str(store)!r})"
     environment = {
         **os.environ,
-        "PYTHONPATH": str(worlds.ROOT / "tests"),
-        "AUTHGUARD_TEST_TRUST": str(worlds.trust_folder()),
+        "PYTHONPATH": str(scenarios.ROOT / "tests"),
+        "AUTHGUARD_TEST_TRUST": str(scenarios.trust_folder()),
     }
     patched = (
-        "import os, worlds; from pathlib import Path; "
-        "worlds.trust_folder = lambda: Path(os.environ['AUTHGUARD_TEST_TRUST']); "
+        "import os; from fixtures import scenarios; from pathlib import Path; "
+        "scenarios.trust_folder = lambda: Path(os.environ['AUTHGUARD_TEST_TRUST']); "
     )
     gate = subprocess.Popen(
         [sys.executable, "-c", patched + code], stdout=subprocess.PIPE, env=environment
@@ -406,17 +406,17 @@ def test_kill_9_while_the_robot_moves_leaves_the_memory_of_all_that_was_released
         order(sim, Verb.RESOLVE, ticket=ticket, outcome=Outcome.SUCCEEDED)
     order(sim, Verb.RESUME)
     assert held(sim).actions == 3
-    assert not safe(worlds.propose(sim, TELL))  # announced already, before it was killed
-    assert safe(worlds.propose(sim, SCAN))
+    assert not safe(scenarios.propose(sim, TELL))  # announced already, before it was killed
+    assert safe(scenarios.propose(sim, SCAN))
     sim.gate.close()
     again = begin(ONCE, LOOKED, store=store, start_ms=1_200_000)
-    assert not safe(worlds.propose(again, TELL))
+    assert not safe(scenarios.propose(again, TELL))
     again.gate.close()
 
 
 def test_recovery_that_sees_that_it_was_done_settles_the_memory() -> None:
     made = mission()
-    battery = worlds.mission().guards[0]
+    battery = scenarios.mission().guards[0]
     seen = tuple(msgspec.structs.replace(one, done_when=(battery,)) for one in made.actions)
     sim = begin(LOOKED, made=msgspec.structs.replace(made, actions=seen))
     _ended(sim, SCAN, Outcome.UNKNOWN)
@@ -443,7 +443,7 @@ class Cells:
 
 
 def test_what_was_not_released_or_is_not_the_last_release_moves_nothing() -> None:
-    cells, verified = Cells(), worlds.verified(mission())
+    cells, verified = Cells(), scenarios.verified(mission())
     standing = issue(verified)
     remember(cells, standing, None, ticket="A" * 43)
     remember(cells, standing, SafetyDecision(safe=True), ticket="A" * 43)
@@ -470,7 +470,12 @@ def test_of_several_gates_one_remembers() -> None:
 
     ground = EnvelopeGate(config())
     gate = Together(ground, Remembers()).recall(b"once")
-    asked = (worlds.navigate("dock", "pharmacy"), worlds.state(), worlds.facts(), worlds.NOW)
+    asked = (
+        scenarios.navigate("dock", "pharmacy"),
+        scenarios.state(),
+        scenarios.facts(),
+        scenarios.NOW,
+    )
     assert gate.assess(*asked).memory == (b"once?", b"once!")
     assert Together(ground, ground).assess(*asked) == SafetyDecision(safe=True)
     with pytest.raises(RuntimeError, match="two safety gates remember"):

@@ -12,15 +12,15 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import sign_object
 from authguard_r.safety import Rule, default_config
+from fixtures import scenarios
 
-HOSPITAL = worlds.HOSPITAL
-NOW = to_timestamp(worlds.START_MS)
+HOSPITAL = scenarios.HOSPITAL
+NOW = to_timestamp(scenarios.START_MS)
 
 
 class Shell:
@@ -29,21 +29,23 @@ class Shell:
     def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         self.folder = folder
         self._capsys = capsys
-        (folder / "m.token").write_bytes(worlds.token())
+        (folder / "m.token").write_bytes(scenarios.token())
 
     def sign(self, **formulas: str) -> None:
         rules = tuple(Rule(id=name, formula=text) for name, text in formulas.items())
-        config = msgspec.structs.replace(default_config(worlds.site(), worlds.RID), rules=rules)
-        officer = worlds.folder_signer(worlds.trust_folder(), "safety-officer-1")
+        config = msgspec.structs.replace(
+            default_config(scenarios.site(), scenarios.RID), rules=rules
+        )
+        officer = scenarios.folder_signer(scenarios.trust_folder(), "safety-officer-1")
         (self.folder / "s.token").write_bytes(sign_object(config, Tag.SAFETY, officer))
 
     def run(self, reply: str, *more: str) -> tuple[int, Any]:
         return self(
             "run",
-            *("--token", self.folder / "m.token", "--trust", worlds.trust_folder()),
+            *("--token", self.folder / "m.token", "--trust", scenarios.trust_folder()),
             *("--site", HOSPITAL / "site.yaml", "--binding", HOSPITAL / "binding.yaml"),
             *("--plan", HOSPITAL / "replies" / f"{reply}.json", "--store", self.folder / "r.db"),
-            *("--safety", self.folder / "s.token", "--robot", worlds.RID, "--now", NOW, *more),
+            *("--safety", self.folder / "s.token", "--robot", scenarios.RID, "--now", NOW, *more),
         )
 
     def __call__(self, *words: object) -> tuple[int, Any]:
@@ -70,8 +72,8 @@ def test_a_rule_refuses_a_step_and_the_log_is_whole_and_replays(shell: Shell) ->
     assert [(item["hazard"], item["field"]) for item in found] == [("RULE", "rules.light")]
     assert ran["rules_open"] == ["home"]
     store = shell.folder / "r.db"
-    assert shell("audit", "verify", store, "--trust", worlds.trust_folder())[0] == 0
-    code, again = shell("audit", "replay", store, "--trust", worlds.trust_folder())
+    assert shell("audit", "verify", store, "--trust", scenarios.trust_folder())[0] == 0
+    code, again = shell("audit", "replay", store, "--trust", scenarios.trust_folder())
     assert (code, again["decisions"], again["differ"], again["not_replayable"]) == (0, 2, 0, 0)
 
 

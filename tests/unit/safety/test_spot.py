@@ -22,15 +22,16 @@ from hypothesis import strategies as st
 from authguard_r.core.errors import MalformedError
 from authguard_r.safety.temporal.parse import parse
 from authguard_r.safety.temporal.track import Left, Letter, Track
+from fixtures.amount import amount
 
 pytestmark = pytest.mark.skipif(
-    find_spec("spot") is None and "AUTHGUARD_CI" not in os.environ,
+    find_spec("spot") is None and "AUTHGUARD_COMPLETE" not in os.environ,
     reason="spottl is not installed: nobody to compare with",
 )
 
 NAMES = ("a", "b", "c")
 #: Formula and trace pairs of one run; a longer one is asked for by the environment.
-PAIRS = int(os.environ.get("AUTHGUARD_PAIRS", "1500"))
+PAIRS = int(os.environ.get("AUTHGUARD_PAIRS", amount(300, 1_500)))
 LAWFUL = settings(
     max_examples=PAIRS,
     deadline=None,

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.encoding import Tag, decode, encode_fast
 from authguard_r.core.errors import MalformedError
@@ -21,10 +20,12 @@ from authguard_r.safety import Rule, SafetyConfig, TemporalGate, default_config,
 from authguard_r.safety.temporal import memory as memories
 from authguard_r.safety.temporal.memory import MAX_MEMORY, Memory
 from authguard_r.safety.temporal.rules import MAX_RULES, compile_rules
+from fixtures import scenarios
+from fixtures.cases import case
 
 SCAN = Action(type="scan_obstacles", tool="lidar")
 TELL = Action(type="announce", tool="speaker")
-GO = worlds.navigate("dock", "pharmacy")
+GO = scenarios.navigate("dock", "pharmacy")
 PICK = Action(
     type="pick", tool="gripper", object="package-p1", source="dock", params={"force_mn": 9_000}
 )
@@ -32,7 +33,7 @@ PICK = Action(
 
 def config(*formulas: str, **changes: Any) -> SafetyConfig:
     rules = tuple(Rule(id=f"rule-{n}", formula=text) for n, text in enumerate(formulas))
-    made = msgspec.structs.replace(default_config(worlds.site(), worlds.RID), rules=rules)
+    made = msgspec.structs.replace(default_config(scenarios.site(), scenarios.RID), rules=rules)
     return msgspec.structs.replace(made, **changes)
 
 
@@ -41,7 +42,7 @@ def gate(*formulas: str, memory: bytes = b"", **changes: Any) -> TemporalGate:
 
 
 def ask(here: TemporalGate, action: Action, state: AttestedState | None = None) -> SafetyDecision:
-    told = here.assess(action, state or worlds.state(), worlds.facts(), worlds.NOW)
+    told = here.assess(action, state or scenarios.state(), scenarios.facts(), scenarios.NOW)
     assert told.safe == (not told.findings)
     return told
 
@@ -63,9 +64,9 @@ def walk(here: TemporalGate, *actions: Action) -> list[bool]:
 
 def reading(variable: str, **changes: Any) -> AttestedState:
     """Return the hospital's state with one reading changed."""
-    snapshot = worlds.state().snapshot
+    snapshot = scenarios.state().snapshot
     seen = msgspec.structs.replace(snapshot.readings["human_distance_mm"], **changes)
-    return worlds.attested(
+    return scenarios.attested(
         msgspec.structs.replace(snapshot, readings={**snapshot.readings, variable: seen})
     )
 
@@ -73,9 +74,8 @@ def reading(variable: str, **changes: Any) -> AttestedState:
 # atoms
 
 
-@pytest.mark.parametrize(
-    ("formula", "action", "safe"),
-    [
+def test_each_atom_both_ways() -> None:
+    for formula, action, safe in [
         ("type = navigate", GO, True),
         ("type = pick", GO, False),
         ("destination = pharmacy", GO, True),
@@ -91,12 +91,12 @@ def reading(variable: str, **changes: Any) -> AttestedState:
         ("params.speed_mm_s = 500", GO, True),
         (
             "route contains public-corridor",
-            worlds.navigate("dock", "pharmacy", route=("public-corridor",)),
+            scenarios.navigate("dock", "pharmacy", route=("public-corridor",)),
             True,
         ),
         (
             "!route contains public-corridor",
-            worlds.navigate("dock", "pharmacy", route=("office-1",)),
+            scenarios.navigate("dock", "pharmacy", route=("office-1",)),
             True,
         ),
         ("!route contains public-corridor", SCAN, True),
@@ -105,12 +105,11 @@ def reading(variable: str, **changes: Any) -> AttestedState:
         ("state.human_distance_mm >= 5000", GO, True),
         ("state.human_distance_mm > 5000", GO, False),
         ("state.human_distance_mm = 5000", GO, True),
-    ],
-)
-def test_each_atom_both_ways(formula: str, action: Action, safe: bool) -> None:
-    told = ask(gate(formula), action)
-    assert told.safe is safe
-    assert hazards(told) == ([] if safe else [("RULE", "rules.rule-0")])
+    ]:
+        with case(formula, action, safe):
+            told = ask(gate(formula), action)
+            assert told.safe is safe
+            assert hazards(told) == ([] if safe else [("RULE", "rules.rule-0")])
 
 
 def test_a_truth_value_is_neither_a_number_nor_a_word() -> None:
@@ -146,22 +145,22 @@ def test_an_atom_whose_reading_is_stale_or_seen_by_a_camera_is_not_known(change:
 
 def test_a_reading_grows_stale_while_nothing_comes() -> None:
     near = gate("G state.human_distance_mm > 1000")
-    late = Now(worlds.NOW.utc_ms, worlds.NOW.mono_ms + 1_001)
-    told = near.assess(GO, worlds.state(), worlds.facts(), late)
+    late = Now(scenarios.NOW.utc_ms, scenarios.NOW.mono_ms + 1_001)
+    told = near.assess(GO, scenarios.state(), scenarios.facts(), late)
     assert hazards(told) == [("STATE_UNKNOWN", "state.human_distance_mm")]
 
 
 def test_without_state_and_with_another_robots_nothing_is_known() -> None:
     held = gate("G state.holding = nothing")
-    assert hazards(held.assess(GO, None, worlds.facts(), worlds.NOW)) == [
+    assert hazards(held.assess(GO, None, scenarios.facts(), scenarios.NOW)) == [
         ("STATE_UNKNOWN", "state.holding")
     ]
-    foreign = worlds.state(rid=worlds.OTHER)
+    foreign = scenarios.state(rid=scenarios.OTHER)
     assert hazards(ask(held, GO, foreign)) == [("STATE_UNKNOWN", "state.holding")]
 
 
 def test_an_absent_parameter_is_not_a_small_one() -> None:
-    bare = worlds.navigate("dock", "pharmacy", params={})
+    bare = scenarios.navigate("dock", "pharmacy", params={})
     for formula in ("G params.speed_mm_s <= 500", "G !(params.speed_mm_s > 500)"):
         assert hazards(ask(gate(formula), bare)) == [("STATE_UNKNOWN", "params.speed_mm_s")]
         assert hazards(ask(gate(formula), SCAN)) == [("STATE_UNKNOWN", "params.speed_mm_s")]
@@ -200,7 +199,7 @@ def test_a_name_that_the_site_does_not_have_protects_nothing_so_nothing_is_safe(
 def test_an_unknown_type_and_another_robots_gate_are_unsafe() -> None:
     here = gate("G type != pick")
     assert hazards(ask(here, Action(type="dance", tool="base"))) == [("STATE_UNKNOWN", "type")]
-    told = here.assess(GO, worlds.state(), worlds.facts(worlds.OTHER), worlds.NOW)
+    told = here.assess(GO, scenarios.state(), scenarios.facts(scenarios.OTHER), scenarios.NOW)
     assert hazards(told) == [("STATE_UNKNOWN", "type")]
 
 
@@ -288,7 +287,7 @@ def test_the_memory_of_another_robot_mission_or_rule_is_none() -> None:
     assert ask(mine.recall(done("m-1")), of(TELL, "m-1")).safe
     others = {
         "mission": done("m-2"),
-        "robot": encode_fast(_owned(done("m-1"), rid=worlds.OTHER)),
+        "robot": encode_fast(_owned(done("m-1"), rid=scenarios.OTHER)),
         "rule": done("m-1", formula="G type != place"),
     }
     for memory in others.values():
@@ -367,11 +366,11 @@ def test_a_rule_that_grows_makes_the_configuration_invalid_though_it_is_signed()
         ("G type = ", "safety.rules[1].formula:10"),
         ("G false", "safety.rules[1].formula"),
     ):
-        folder = worlds.trust_folder()
-        officer = worlds.folder_signer(folder, "safety-officer-1")
+        folder = scenarios.trust_folder()
+        officer = scenarios.folder_signer(folder, "safety-officer-1")
         token = sign_object(config("G type != pick", formula), Tag.SAFETY, officer)
         with pytest.raises(MalformedError) as refused:
-            open_config(token, verifier=read_trust(folder), now=Now(worlds.START_MS, 0))
+            open_config(token, verifier=read_trust(folder), now=Now(scenarios.START_MS, 0))
         assert refused.value.where == where
         with pytest.raises(MalformedError):
             gate(formula)

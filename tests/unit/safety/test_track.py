@@ -17,6 +17,7 @@ from authguard_r.safety.temporal.track import (
     spelled,
     unknown_atoms,
 )
+from fixtures.cases import case
 
 A, B = "route contains a", "route contains b"
 
@@ -51,9 +52,8 @@ def verdict(text: str, *trace: str) -> str:
     return "may" if here.can_hold(found) else "dead"
 
 
-@pytest.mark.parametrize(
-    ("text", "trace", "told"),
-    [
+def test_progression_of_each_operator() -> None:
+    for text, trace, told in [
         ("a", ["a"], "holds"),
         ("a", [""], "dead"),
         ("! a", ["b"], "holds"),
@@ -102,10 +102,9 @@ def verdict(text: str, *trace: str) -> str:
         ("G ( a -> WX G ! a )", ["a", "", "a"], "dead"),
         ("F a & F b", ["a", "b"], "holds"),
         ("true", [""], "holds"),
-    ],
-)
-def test_progression_of_each_operator(text: str, trace: list[str], told: str) -> None:
-    assert verdict(text, *trace) == told
+    ]:
+        with case(text, trace, told):
+            assert verdict(text, *trace) == told
 
 
 def test_a_dead_end_is_seen_before_it_is_reached() -> None:

@@ -9,14 +9,14 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-import sealed
 from authguard_r.audit.boxes import DataClass
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError
 from authguard_r.sealing import Reader, Retention, require_readers, require_retention
+from fixtures import sealed_logs
 
 REGION, OBJECT = DataClass.REGION, DataClass.OBJECT
-READER = sealed.reader("auditor")
+READER = sealed_logs.reader("auditor")
 
 
 @pytest.mark.parametrize(
@@ -40,28 +40,28 @@ def test_readers_have_a_key_each_that_keeps_a_secret(
 
 
 def test_readers_may_be_many() -> None:
-    both = (READER, sealed.reader("pq-nurse", OBJECT))
+    both = (READER, sealed_logs.reader("pq-nurse", OBJECT))
     assert [key.text() for key in require_readers(both, where="readers")] == [r.key for r in both]
 
 
 @pytest.mark.parametrize(
     ("rules", "where"),
     [
-        ((sealed.rule(OBJECT),), "retention[0]"),  # nobody reads it: it is not sealed
-        ((sealed.rule(REGION, least_ms=2, most_ms=1),), "retention[0]"),
-        ((sealed.rule(REGION), sealed.rule(REGION)), "retention"),
+        ((sealed_logs.rule(OBJECT),), "retention[0]"),  # nobody reads it: it is not sealed
+        ((sealed_logs.rule(REGION, least_ms=2, most_ms=1),), "retention[0]"),
+        ((sealed_logs.rule(REGION), sealed_logs.rule(REGION)), "retention"),
     ],
 )
 def test_retention_is_of_what_is_sealed_and_contradicts_nothing(
     rules: tuple[Retention, ...], where: str
 ) -> None:
     with pytest.raises(MalformedError) as refused:
-        require_retention(rules, (sealed.reader("porter", REGION),), where="retention")
+        require_retention(rules, (sealed_logs.reader("porter", REGION),), where="retention")
     assert refused.value.where == where
 
 
 def test_rules_of_several_classes_stand_sorted() -> None:
-    rules = (sealed.rule(OBJECT, least_ms=5), sealed.rule(REGION, least_ms=1, most_ms=5))
+    rules = (sealed_logs.rule(OBJECT, least_ms=5), sealed_logs.rule(REGION, least_ms=1, most_ms=5))
     require_retention(rules, (READER,), where="retention")
     with pytest.raises(MalformedError):
         require_retention(rules[::-1], (READER,), where="retention")

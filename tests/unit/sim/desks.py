@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.controller import Channel, ControllerDesk, Sent
 from authguard_r.client.greeting import Greeting
@@ -34,6 +33,7 @@ from authguard_r.wire.messages import (
     Renew,
     Welcome,
 )
+from fixtures import scenarios
 
 BRAKE_MM_S2 = 500
 NONCE = b64(bytes(range(32)))
@@ -43,23 +43,23 @@ def greeting(role: ClientRole = ClientRole.CONTROLLER) -> Greeting:
     return Greeting(
         role=role,
         client="controller-courier-1",
-        verifier=read_trust(worlds.trust_folder()),
-        robot=worlds.RID,
+        verifier=read_trust(scenarios.trust_folder()),
+        robot=scenarios.RID,
         allow_shadow=True,
     )
 
 
-def welcome(by: str | None = f"gate-{worlds.RID}", **changes: Any) -> Frame:
+def welcome(by: str | None = f"gate-{scenarios.RID}", **changes: Any) -> Frame:
     """Return what a server answers whose key is the one of `by`, with one thing changed."""
-    said: dict[str, Any] = {"robot": worlds.RID, "role": ClientRole.CONTROLLER, "nonce": NONCE}
+    said: dict[str, Any] = {"robot": scenarios.RID, "role": ClientRole.CONTROLLER, "nonce": NONCE}
     proof = Proof(**{**said, **{k: v for k, v in changes.items() if k in said}})
     token = None
     if by is not None:
         tag = changes.get("tag", Tag.HANDSHAKE)
-        token = sign_object(proof, tag, folder_signer(worlds.trust_folder(), by)).decode()
+        token = sign_object(proof, tag, folder_signer(scenarios.trust_folder(), by)).decode()
     message = Welcome(
         protocol=changes.get("protocol", PROTOCOL),
-        robot=changes.get("claims", worlds.RID),
+        robot=changes.get("claims", scenarios.RID),
         mode=Mode.ENFORCE,
         role=ClientRole.CONTROLLER,
         client="controller-courier-1",
@@ -71,7 +71,7 @@ def welcome(by: str | None = f"gate-{worlds.RID}", **changes: Any) -> Frame:
 
 
 def proven() -> Proven:
-    return prove(welcome(), greeting(), nonce=NONCE, now=worlds.NOW)
+    return prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW)
 
 
 #: The start of the controller on a bench.
@@ -90,10 +90,10 @@ def ticket(number: int) -> Digest:
 
 def braking_site(brake_mm_s2: int | None = BRAKE_MM_S2) -> Site:
     """Return the hospital with a robot whose profile says how it brakes."""
-    site = worlds.site()
-    robot = site.robots[worlds.RID]
+    site = scenarios.site()
+    robot = site.robots[scenarios.RID]
     profile = msgspec.structs.replace(robot.profile, brake_mm_s2=brake_mm_s2, reaction_ms=100)
-    robots = {**site.robots, worlds.RID: msgspec.structs.replace(robot, profile=profile)}
+    robots = {**site.robots, scenarios.RID: msgspec.structs.replace(robot, profile=profile)}
     return msgspec.structs.replace(site, robots=robots)
 
 
@@ -112,14 +112,14 @@ class Bench:
         brake_mm_s2: int | None = BRAKE_MM_S2,
         at: str = "dock",
         opened: tuple[Channel, ...] = (Channel.GATE, Channel.STOP),
-        rid: RobotId = worlds.RID,
+        rid: RobotId = scenarios.RID,
     ) -> None:
         self.robot = SymbolicRobot(
             braking_site(brake_mm_s2),
             rid,
-            worlds.world(at),
+            scenarios.world(at),
             estimator=None,
-            start_ms=worlds.START_MS,
+            start_ms=scenarios.START_MS,
             faults=faults or Faults(),
         )
         self.now_ms = 5_000
@@ -144,7 +144,7 @@ class Bench:
     def dispatch(self, action: Action | None = None, number: int = 1, **changes: Any) -> list[Sent]:
         order: dict[str, Any] = {
             "ticket": ticket(number),
-            "action": action or worlds.navigate("dock", "pharmacy", speed=800),
+            "action": action or scenarios.navigate("dock", "pharmacy", speed=800),
             "max_ms": 600_000,
             "renew_within_ms": 300,
             "life": LIFE,

@@ -7,13 +7,13 @@ from math import hypot
 
 import pytest
 
-import worlds
 from authguard_r.client.controller import SAMPLE_MS, STEP_MS, Channel
 from authguard_r.client.proof import Proven
 from authguard_r.core.errors import MalformedError
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Dispatch, Kind, Welcome
+from fixtures import scenarios
 from unit.sim.desks import BRAKE_MM_S2, LIFE, Bench, drive, framed, proven, ticket
 
 STOPPED = ("ENDED", "aborted", "STOPPED")
@@ -67,7 +67,7 @@ def test_the_stop_lane_cannot_keep_an_action_alive() -> None:
     bench = moving()
     order = Dispatch(
         ticket=ticket(1),
-        action=worlds.navigate("dock", "pharmacy"),
+        action=scenarios.navigate("dock", "pharmacy"),
         max_ms=1,
         renew_within_ms=300,
         life=LIFE,
@@ -90,7 +90,7 @@ def test_a_gate_that_is_gone_is_not_heard_any_more() -> None:
 
 
 def test_a_proof_for_another_robot_is_a_fault_of_ours() -> None:
-    bench = Bench(opened=(), rid=worlds.OTHER)
+    bench = Bench(opened=(), rid=scenarios.OTHER)
     with pytest.raises(RuntimeError):
         bench.desk.opened(Channel.GATE, proven(), bench.now_ms)
     assert bench.dispatch() == []
@@ -137,7 +137,7 @@ def test_a_renewal_of_another_action_renews_nothing() -> None:
 @pytest.mark.parametrize("speed", [100, 333, 800, 1_500])
 def test_the_way_of_braking_is_v_squared_over_two_a(speed: int, every_ms: int) -> None:
     bench = Bench(at="station-103")
-    bench.dispatch(worlds.navigate("station-103", "pharmacy", speed=speed))
+    bench.dispatch(scenarios.navigate("station-103", "pharmacy", speed=speed))
     bench.wait(12_000_000 // speed)  # in the middle of the long corridor
     begun = bench.place
     bench.halt()
@@ -240,7 +240,7 @@ def test_every_word_of_a_stop_says_of_which_start_it_is() -> None:
 
 def test_a_second_action_is_refused_and_the_first_goes_on() -> None:
     bench = moving()
-    bench.dispatch(worlds.navigate("dock", "office-1"), number=2)
+    bench.dispatch(scenarios.navigate("dock", "office-1"), number=2)
     assert bench.said() == [("ENDED", "not_started", "BUSY")]
     assert bench.sent[0].body.ticket == ticket(2)
     bench.wait(60_000)
@@ -262,21 +262,21 @@ def test_a_release_is_carried_out_once() -> None:
 @pytest.mark.parametrize("faults", [Faults(controller_refuses=True), None])
 def test_what_cannot_be_begun_was_not_started(faults: Faults | None) -> None:
     bench = Bench(faults=faults)
-    bench.dispatch(None if faults else worlds.navigate("dock", "moon"))
+    bench.dispatch(None if faults else scenarios.navigate("dock", "moon"))
     assert bench.said()[-1] == ("ENDED", "not_started", "CONTROLLER_FAILED")
     assert bench.desk.stands
 
 
 def test_what_fails_says_so() -> None:
     bench = Bench(at="pharmacy", faults=Faults(grasp_fails=True))
-    bench.dispatch(worlds.Action(type="pick", tool="gripper", object="package-p1"))
+    bench.dispatch(scenarios.Action(type="pick", tool="gripper", object="package-p1"))
     bench.wait(3_000)
     assert bench.said()[-1] == ("ENDED", "failed", "CONTROLLER_FAILED")
 
 
 def test_what_takes_no_time_has_begun_and_ended() -> None:
     bench = Bench()
-    bench.dispatch(worlds.Action(type="announce", tool="speaker"))
+    bench.dispatch(scenarios.Action(type="announce", tool="speaker"))
     assert bench.said()[1:] == [("BEGUN", "", ""), ("ENDED", "succeeded", "")]
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import worlds
 from authguard_r.client.controller import KEPT, Channel, ControllerDesk
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ActionType, Digest
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.wire.messages import Begun, Ended, Kind, Stood
+from fixtures import scenarios
 from unit.sim.desks import LIFE, Bench, drive, ticket
 
 LAMP = Action(type=ActionType("lamp"), tool="lamps", params={})
@@ -36,7 +36,7 @@ class Lamp:
 class Lamps:
     """A body of three lamps; a velocity dims the one whose stream it is."""
 
-    rid = worlds.RID
+    rid = scenarios.RID
     sampled = frozenset({"linear_mm_s"})
     obeys = True
     late_ms = 0
@@ -115,7 +115,7 @@ def test_three_run_and_each_ends_by_itself() -> None:
 def test_what_the_body_has_no_room_for_is_busy_and_runs_never() -> None:
     row = Row()
     row.light(1, 2, 3)
-    for number, action in ((4, LAMP), (5, worlds.navigate("dock", "pharmacy"))):
+    for number, action in ((4, LAMP), (5, scenarios.navigate("dock", "pharmacy"))):
         (sent,) = row.dispatch(action, number)
         body = sent.body
         assert isinstance(body, Ended)

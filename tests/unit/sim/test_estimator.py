@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-import worlds
 from authguard_r.assembly import folder_signer
 from authguard_r.client.attesting import ANSWER_MS
 from authguard_r.client.sensing import ID_MODULUS
@@ -20,14 +19,15 @@ from authguard_r.sim.sensors import reading_frame
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.frames import Frame, FrameReader, read_body
 from authguard_r.wire.messages import Attest, Fault, Kind
+from fixtures import scenarios
 from unit.sim.desks import framed
 
 EPOCH = 1_700_000_000_000
 
 
 def estimator(rate_hz: int = 20) -> Estimator:
-    signer = folder_signer(worlds.trust_folder(), f"estimator-{worlds.RID}")
-    return Estimator(worlds.RID, signer, epoch=EPOCH, rate_hz=rate_hz)
+    signer = folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
+    return Estimator(scenarios.RID, signer, epoch=EPOCH, rate_hz=rate_hz)
 
 
 def cut(data: bytes) -> Frame:
@@ -35,8 +35,8 @@ def cut(data: bytes) -> Frame:
     return item
 
 
-def reading(measured_ms: int, *, at: str = "dock", rid: str = worlds.RID) -> Frame:
-    seen = snapshot_of(worlds.world(at), robot=rid, epoch=0, seq=0, pose_age_ms=7)
+def reading(measured_ms: int, *, at: str = "dock", rid: str = scenarios.RID) -> Frame:
+    seen = snapshot_of(scenarios.world(at), robot=rid, epoch=0, seq=0, pose_age_ms=7)
     return cut(reading_frame(seen, measured_ms))
 
 
@@ -47,10 +47,10 @@ def opened(data: bytes | None) -> Snapshot:
         Snapshot,
         tag=Tag.STATE,
         roles=frozenset({"estimator"}),
-        verifier=read_trust(worlds.trust_folder()),
-        now=worlds.NOW,
+        verifier=read_trust(scenarios.trust_folder()),
+        now=scenarios.NOW,
     )
-    assert signer.id == f"estimator-{worlds.RID}"
+    assert signer.id == f"estimator-{scenarios.RID}"
     return snapshot
 
 
@@ -65,7 +65,7 @@ def test_a_snapshot_is_signed_with_epoch_and_growing_seq() -> None:
     it.attester.answered(framed(Kind.REPLY, {}))
     second = opened(it.attester.due(it.seen, 1_050))
     assert (first.epoch, first.seq, second.seq) == (EPOCH, 1, 2)
-    assert first.robot == worlds.RID
+    assert first.robot == scenarios.RID
 
 
 def test_at_most_one_is_on_its_way_and_the_newest_wins() -> None:
@@ -150,20 +150,20 @@ def test_a_gate_that_answers_nothing_is_overdue_until_it_hangs_up() -> None:
 def test_another_robot_is_not_attested() -> None:
     it = estimator()
     with pytest.raises(MalformedError):
-        it.heard(reading(1_000, rid=worlds.OTHER), 1_000)
+        it.heard(reading(1_000, rid=scenarios.OTHER), 1_000)
     with pytest.raises(MalformedError):
-        it.heard(framed(Kind.EVENT, {"robot": worlds.RID}), 1_000)
+        it.heard(framed(Kind.EVENT, {"robot": scenarios.RID}), 1_000)
     assert it.attester.due(it.seen, 1_000) is None
 
 
 def test_a_robot_without_an_estimator_signs_nothing_and_still_sees() -> None:
     faults = Faults(localization_stops_ms=200, estimator_dies_ms=1_000)
     robot = SymbolicRobot(
-        worlds.site(),
-        worlds.RID,
-        worlds.world(),
+        scenarios.site(),
+        scenarios.RID,
+        scenarios.world(),
         estimator=None,
-        start_ms=worlds.START_MS,
+        start_ms=scenarios.START_MS,
         faults=faults,
     )
     assert robot.latest() is None

@@ -10,7 +10,6 @@ import pytest
 from msgspec import UNSET
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.client.driver import BOUNDS
 from authguard_r.client.greeting import Greeting, Speaks
 from authguard_r.client.proof import MAX_WELCOME, Conversation, prove
@@ -24,39 +23,40 @@ from authguard_r.core.errors import (
 from authguard_r.core.identifiers import Digest
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Fault, Kind, Renew, Welcome
+from fixtures import scenarios
 from unit.sim.desks import NONCE, framed, greeting, ticket, welcome
 
 
 def conversation() -> Conversation:
-    return Conversation(greeting(), nonce=NONCE, bounds=BOUNDS, now=lambda: worlds.NOW)
+    return Conversation(greeting(), nonce=NONCE, bounds=BOUNDS, now=lambda: scenarios.NOW)
 
 
 def test_the_gate_of_this_robot_is_believed() -> None:
-    proven = prove(welcome(), greeting(), nonce=NONCE, now=worlds.NOW)
-    assert proven.welcome.robot == worlds.RID
+    proven = prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW)
+    assert proven.welcome.robot == scenarios.RID
 
 
 @pytest.mark.parametrize(
     ("by", "changes"),
     [
         (None, {}),
-        (f"gate-{worlds.OTHER}", {}),
-        (f"gate-{worlds.OTHER}", {"robot": worlds.OTHER}),
-        (f"gate-{worlds.OTHER}", {"robot": worlds.OTHER, "claims": worlds.OTHER}),
+        (f"gate-{scenarios.OTHER}", {}),
+        (f"gate-{scenarios.OTHER}", {"robot": scenarios.OTHER}),
+        (f"gate-{scenarios.OTHER}", {"robot": scenarios.OTHER, "claims": scenarios.OTHER}),
         ("operator-1", {}),
         ("site-authority-1", {}),
-        (f"estimator-{worlds.RID}", {}),
-        (f"gate-{worlds.RID}", {"nonce": b64(bytes(32))}),
-        (f"gate-{worlds.RID}", {"role": ClientRole.ESTIMATOR}),
-        (f"gate-{worlds.RID}", {"robot": worlds.OTHER}),
-        (f"gate-{worlds.RID}", {"claims": worlds.OTHER}),
-        (f"gate-{worlds.RID}", {"tag": Tag.STATE}),
-        (f"gate-{worlds.RID}", {"protocol": "authguard-r/gate/2"}),
+        (f"estimator-{scenarios.RID}", {}),
+        (f"gate-{scenarios.RID}", {"nonce": b64(bytes(32))}),
+        (f"gate-{scenarios.RID}", {"role": ClientRole.ESTIMATOR}),
+        (f"gate-{scenarios.RID}", {"robot": scenarios.OTHER}),
+        (f"gate-{scenarios.RID}", {"claims": scenarios.OTHER}),
+        (f"gate-{scenarios.RID}", {"tag": Tag.STATE}),
+        (f"gate-{scenarios.RID}", {"protocol": "authguard-r/gate/2"}),
     ],
 )
 def test_nobody_else_is_believed(by: str | None, changes: dict[str, Any]) -> None:
     with pytest.raises((AuthenticityError, MalformedError)):
-        prove(welcome(by, **changes), greeting(), nonce=NONCE, now=worlds.NOW)
+        prove(welcome(by, **changes), greeting(), nonce=NONCE, now=scenarios.NOW)
 
 
 WORDS = {"site": Digest("s" * 43), "binding": Digest("b" * 43)}
@@ -64,7 +64,9 @@ WORDS = {"site": Digest("s" * 43), "binding": Digest("b" * 43)}
 
 def test_a_gate_that_speaks_the_same_words_is_taken() -> None:
     asks = replace(greeting(), speaks=Speaks(**WORDS))
-    assert prove(welcome(**WORDS), asks, nonce=NONCE, now=worlds.NOW).welcome.site == WORDS["site"]
+    assert (
+        prove(welcome(**WORDS), asks, nonce=NONCE, now=scenarios.NOW).welcome.site == WORDS["site"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -75,25 +77,25 @@ def test_a_gate_that_speaks_other_words_is_not_taken(word: str, said: object) ->
     """What it releases would be rebuilt as something that nobody decided."""
     asks = replace(greeting(), speaks=Speaks(**WORDS))
     with pytest.raises(RefusedError, match="SITE_MISMATCH") as refused:
-        prove(welcome(**{**WORDS, word: said}), asks, nonce=NONCE, now=worlds.NOW)
+        prove(welcome(**{**WORDS, word: said}), asks, nonce=NONCE, now=scenarios.NOW)
     assert refused.value.where == f"welcome.{word}"
 
 
 def test_a_gate_that_refuses_says_why() -> None:
     fault = framed(Kind.ERROR, Fault(code="ROLE_DENIED", message="no", where="peer"))
     with pytest.raises(AuthGuardError, match="ROLE_DENIED"):
-        prove(fault, greeting(), nonce=NONCE, now=worlds.NOW)
+        prove(fault, greeting(), nonce=NONCE, now=scenarios.NOW)
 
 
 def test_an_order_instead_of_a_welcome_is_no_proof() -> None:
     with pytest.raises(MalformedError):
-        prove(framed(Kind.HALT, {}), greeting(), nonce=NONCE, now=worlds.NOW)
+        prove(framed(Kind.HALT, {}), greeting(), nonce=NONCE, now=scenarios.NOW)
 
 
 def test_a_proof_that_nobody_can_check_is_not_asked_for() -> None:
-    blind = Greeting(role=ClientRole.CONTROLLER, client="c", robot=worlds.RID)
+    blind = Greeting(role=ClientRole.CONTROLLER, client="c", robot=scenarios.RID)
     with pytest.raises(RuntimeError):
-        prove(welcome(), blind, nonce=NONCE, now=worlds.NOW)
+        prove(welcome(), blind, nonce=NONCE, now=scenarios.NOW)
 
 
 def test_what_comes_with_the_welcome_is_heard_after_it() -> None:

@@ -6,9 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
-import pytest
 
-import worlds
 from authguard_r.core.provenance import Label
 from authguard_r.site.change import Change, Effect, changes, line_of
 from authguard_r.site.model import (
@@ -20,9 +18,11 @@ from authguard_r.site.model import (
     Profile,
     Site,
 )
+from fixtures import scenarios
+from fixtures.cases import case
 
 replace = msgspec.structs.replace
-BASE = worlds.site()
+BASE = scenarios.site()
 
 
 def region(name: str, **to: Any) -> Site:
@@ -275,18 +275,18 @@ ONE: dict[str, tuple[Site, Site, Effect, str]] = {
 del ONE["a region more"]
 
 
-@pytest.mark.parametrize(("old", "new", "effect", "where"), ONE.values(), ids=ONE)
-def test_one_change_is_told_once_with_what_it_does(
-    old: Site, new: Site, effect: Effect, where: str
-) -> None:
-    assert [(change.effect, change.where) for change in changes(old, new)] == [(effect, where)]
+def test_one_change_is_told_once_with_what_it_does() -> None:
+    for name, (old, new, effect, where) in ONE.items():
+        with case(name):
+            assert [(change.effect, change.where) for change in changes(old, new)] == [
+                (effect, where)
+            ]
 
 
-@pytest.mark.parametrize(("old", "new", "effect", "where"), ONE.values(), ids=ONE)
-def test_a_site_does_not_differ_from_itself(
-    old: Site, new: Site, effect: Effect, where: str
-) -> None:
-    assert changes(old, old) == changes(new, new) == ()
+def test_a_site_does_not_differ_from_itself() -> None:
+    for name, (old, new, *_) in ONE.items():
+        with case(name):
+            assert changes(old, old) == changes(new, new) == ()
 
 
 def test_the_attack_a_name_that_now_is_another_place_is_told_first() -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.encoding import Tag, decode, digest, encode
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.geometry import polygon
@@ -25,26 +24,27 @@ from authguard_r.site.model import (
     site_digest,
     stopping_mm,
 )
+from fixtures import scenarios
 
 replace = msgspec.structs.replace
 FLAGS = ("moves", "waits", "records", "stores", "transmits", "state_writing")
 
 
 def profile(rid: str = "courier-1") -> str:
-    return profile_digest(worlds.site().robots[rid].profile)
+    return profile_digest(scenarios.site().robots[rid].profile)
 
 
 # -- digests ---------------------------------------------------------------------------------------
 
 
 def test_the_site_s_digest_is_that_of_its_canonical_bytes() -> None:
-    assert site_digest(worlds.site()) == digest(Tag.SITE, encode(worlds.site()))
-    assert decode(encode(worlds.site()), Site) == worlds.site()
+    assert site_digest(scenarios.site()) == digest(Tag.SITE, encode(scenarios.site()))
+    assert decode(encode(scenarios.site()), Site) == scenarios.site()
 
 
 def test_a_site_says_its_digest_only_as_long_as_nothing_in_it_changes() -> None:
     """A word means at execution what it meant when it was signed."""
-    site = worlds.site()
+    site = scenarios.site()
     dock = site.regions["dock"]
     changed = [
         replace(site, version=2),
@@ -58,13 +58,13 @@ def test_a_site_says_its_digest_only_as_long_as_nothing_in_it_changes() -> None:
 
 def test_two_robots_have_two_profiles_and_a_profile_is_no_site() -> None:
     assert profile("courier-1") != profile("lifter-1")
-    shared = worlds.site().robots["courier-1"].profile
+    shared = scenarios.site().robots["courier-1"].profile
     assert profile_digest(shared) == digest(Tag.PROFILE, encode(shared))
     assert profile_digest(shared) != digest(Tag.SITE, encode(shared))
 
 
 def test_a_profile_that_can_do_one_thing_more_is_another_profile() -> None:
-    base = worlds.site().robots["courier-1"].profile
+    base = scenarios.site().robots["courier-1"].profile
     stronger = [
         replace(base, max_speed_mm_s=base.max_speed_mm_s + 1),
         replace(base, max_force_mn=base.max_force_mn + 1),
@@ -75,7 +75,7 @@ def test_a_profile_that_can_do_one_thing_more_is_another_profile() -> None:
 
 
 def test_a_field_that_the_model_does_not_have_is_refused() -> None:
-    data = encode(worlds.site())
+    data = encode(scenarios.site())
     with pytest.raises(MalformedError) as caught:
         decode(data.replace(b'"doors":', b'"door":[],"doors":', 1), Site)
     assert caught.value.reason is Reason.MALFORMED
@@ -83,7 +83,7 @@ def test_a_field_that_the_model_does_not_have_is_refused() -> None:
 
 def plain(path: str, value: Any) -> bytes:
     """Return the site's canonical bytes with the value at a path replaced."""
-    whole = msgspec.json.decode(encode(worlds.site()))
+    whole = msgspec.json.decode(encode(scenarios.site()))
     *steps, last = path.split("/")
     inner = whole
     for step in steps:
@@ -124,7 +124,7 @@ def test_no_privacy_impact_is_written_by_leaving_it_out() -> None:
 
 
 def test_a_site_cannot_be_changed_once_it_is_read() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     assert site.emergency is None
     for value, field in (
         (site, "version"),
@@ -142,9 +142,9 @@ def test_a_site_cannot_be_changed_once_it_is_read() -> None:
 
 def test_what_a_site_leaves_out_is_not_in_its_digest() -> None:
     """A site that was signed before there were people and baselines keeps its digest."""
-    spelled = msgspec.json.decode(encode(worlds.site()))
+    spelled = msgspec.json.decode(encode(scenarios.site()))
     assert {"people", "emergency", "baseline", "words"}.isdisjoint(spelled)
-    assert site_digest(worlds.site()) == "IS9-R4CY81wwJMH8q863s0L6Ugh0qUvM5CMEUOxLUJo"
+    assert site_digest(scenarios.site()) == "IS9-R4CY81wwJMH8q863s0L6Ugh0qUvM5CMEUOxLUJo"
     envelope = {"max_accel_mm_s2", "brake_mm_s2", "reaction_ms", "controllers"}
     assert envelope.isdisjoint(spelled["robots"]["courier-1"]["profile"])
     bare = Profile(tools={}, max_speed_mm_s=1, max_force_mn=1, max_payload_g=1, controllers={})
@@ -160,9 +160,9 @@ def test_what_a_site_leaves_out_is_not_in_its_digest() -> None:
     ],
 )
 def test_each_new_part_of_a_site_changes_its_digest_and_comes_back(part: str, value: Any) -> None:
-    changed = replace(worlds.site(), **{part: value})
+    changed = replace(scenarios.site(), **{part: value})
     assert decode(encode(changed), Site) == changed
-    assert site_digest(changed) != site_digest(worlds.site())
+    assert site_digest(changed) != site_digest(scenarios.site())
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_each_new_field_ends_where_its_type_ends(path: str, last: Any, beyond: A
 def test_a_robot_stops_within_the_way_that_its_profile_says_never_shorter(
     speed: int, reaction: int, brake: int, way: int
 ) -> None:
-    base = worlds.site().robots["courier-1"].profile
+    base = scenarios.site().robots["courier-1"].profile
     known = replace(base, reaction_ms=reaction, brake_mm_s2=brake)
     assert stopping_mm(known, speed) == way
     assert stopping_mm(replace(known, reaction_ms=None), speed) is None
@@ -204,7 +204,7 @@ def test_a_robot_stops_within_the_way_that_its_profile_says_never_shorter(
 
 
 def test_the_facts_are_the_site_s_own_words_for_one_robot() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     facts = facts_of(site, rid="courier-1", profile=profile())
     assert facts.digest == site_digest(site)
     assert (facts.robot.rid, facts.robot.profile) == ("courier-1", profile())
@@ -230,7 +230,7 @@ def test_the_facts_are_the_site_s_own_words_for_one_robot() -> None:
 
 
 def test_another_robot_has_other_facts() -> None:
-    facts = facts_of(worlds.site(), rid="lifter-1", profile=profile("lifter-1"))
+    facts = facts_of(scenarios.site(), rid="lifter-1", profile=profile("lifter-1"))
     assert facts.robot.rid == "lifter-1"
     assert "take_photo" not in facts.robot.tools
 
@@ -251,14 +251,14 @@ def test_another_robot_has_other_facts() -> None:
 def test_a_robot_or_profile_that_the_site_does_not_know_has_no_facts(rid: str, digest: str) -> None:
     """A gate's certificate names both; a site that knows another robot is the wrong site."""
     with pytest.raises(EnvironmentFault) as caught:
-        facts_of(worlds.site(), rid=rid, profile=digest)
+        facts_of(scenarios.site(), rid=rid, profile=digest)
     assert caught.value.reason is Reason.PROFILE_MISMATCH
     assert caught.value.where == f"robots.{rid}"
     assert "hospital-floor-1" in caught.value.message
 
 
 def test_a_robot_whose_profile_changed_has_no_facts_under_its_old_certificate() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     robot = site.robots["courier-1"]
     faster = replace(robot, profile=replace(robot.profile, max_speed_mm_s=9999))
     changed = replace(site, robots={**site.robots, "courier-1": faster})
@@ -271,7 +271,7 @@ def test_a_robot_whose_profile_changed_has_no_facts_under_its_old_certificate() 
 def test_each_flag_of_an_action_type_reaches_the_decision_alone(flag: str) -> None:
     """A flag that were dropped here would switch its check off."""
     fields: dict[str, Any] = {flag: True}
-    site = worlds.site()
+    site = scenarios.site()
     vocabulary = {**site.vocabulary, "odd": ActionModel(fields=("source",), privacy=3, **fields)}
     facts = facts_of(replace(site, vocabulary=vocabulary), rid="courier-1", profile=profile())
     found = facts.vocabulary["odd"]

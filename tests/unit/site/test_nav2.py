@@ -18,7 +18,7 @@ from authguard_r.site.nav2 import MOST_CELLS, import_map
 from authguard_r.site.proposal import Proposal, to_yaml
 from authguard_r.site.shapes import Side, side_of
 from authguard_r.site.source import parse_site
-from patience import at_most
+from fixtures.time_bounds import at_most
 
 FREE, WALL, UNKNOWN = 254, 0, 205
 YAML = """image: hall.pgm
@@ -302,6 +302,7 @@ COSTLY = {
 }
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize(("picture", "refusal"), COSTLY.values(), ids=COSTLY)
 def test_a_hostile_picture_costs_little_time(tmp_path: Path, picture: Any, refusal: str) -> None:
     path = written(tmp_path, picture())
@@ -309,6 +310,7 @@ def test_a_hostile_picture_costs_little_time(tmp_path: Path, picture: Any, refus
         _import_or_refuse(path, refusal)
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize(("picture", "refusal"), COSTLY.values(), ids=COSTLY)
 def test_a_hostile_picture_costs_little_memory(tmp_path: Path, picture: Any, refusal: str) -> None:
     path = written(tmp_path, picture())

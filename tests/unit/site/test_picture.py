@@ -9,9 +9,9 @@ import msgspec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.site.model import Region, Site
 from authguard_r.site.picture import picture
+from fixtures import scenarios
 
 replace = msgspec.structs.replace
 SVG = "{http://www.w3.org/2000/svg}"
@@ -26,7 +26,7 @@ def words(site: Site) -> list[str]:
 
 
 def test_every_region_door_object_and_robot_of_the_hospital_is_on_the_map() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     root, told = drawn(site), words(site)
     assert len(root.findall(f"{SVG}polygon")) == len(site.regions)
     titles = [element.text or "" for element in root.iter(f"{SVG}title")]
@@ -40,14 +40,14 @@ def test_every_region_door_object_and_robot_of_the_hospital_is_on_the_map() -> N
 
 
 def test_the_same_site_gives_the_same_bytes_in_whatever_order_it_was_written() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     turned = replace(site, regions=dict(reversed(site.regions.items())))
     assert picture(site) == picture(replace(site))
     assert sorted(picture(turned).splitlines()) == sorted(picture(site).splitlines())
 
 
 def test_north_is_up_and_nothing_leaves_the_picture() -> None:
-    root = drawn(worlds.site())
+    root = drawn(scenarios.site())
     _, _, width, height = map(int, root.attrib["viewBox"].split())
     tops = {}
     for polygon in root.findall(f"{SVG}polygon"):
@@ -58,7 +58,7 @@ def test_north_is_up_and_nothing_leaves_the_picture() -> None:
 
 
 def test_each_floor_has_a_panel_of_its_own() -> None:
-    site = worlds.site()
+    site = scenarios.site()
     upper = replace(site.regions["dock"], floor=2, names=("Roof",))
     two = replace(site, regions={**site.regions, "roof": upper})
     told = words(two)
@@ -69,8 +69,8 @@ def test_each_floor_has_a_panel_of_its_own() -> None:
 def test_a_name_cannot_draw_or_load_anything() -> None:
     """The attack: a name that is markup, in a picture that a browser opens."""
     name = '</text><script href="http://x/">alert(1)</script>&amp;'
-    dock = replace(worlds.site().regions["dock"], names=(name,))
-    site = replace(worlds.site(), regions={"dock": dock}, doors=())
+    dock = replace(scenarios.site().regions["dock"], names=(name,))
+    site = replace(scenarios.site(), regions={"dock": dock}, doors=())
     text = picture(site)
     assert "<script" not in text
     assert text.count("http") == 1 + 2 * name.count("http")  # the name space, and escaped text
@@ -89,11 +89,11 @@ def test_any_name_and_any_size_is_a_picture(name: str, side: int) -> None:
         tags=("t",),
         names=(name,),
     )
-    site = replace(worlds.site(), regions={"r": region}, doors=(), objects={}, robots={})
+    site = replace(scenarios.site(), regions={"r": region}, doors=(), objects={}, robots={})
     assert drawn(site).tag == f"{SVG}svg"
     picture(site).encode()
 
 
 def test_a_site_without_regions_has_a_legend_only() -> None:
-    site = replace(worlds.site(), regions={}, doors=(), objects={}, robots={})
+    site = replace(scenarios.site(), regions={}, doors=(), objects={}, robots={})
     assert drawn(site).findall(f"{SVG}polygon") == []

@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 
-import worlds
 from authguard_r.core.checks.place import place_findings
 from authguard_r.core.identifiers import RegionId
 from authguard_r.core.quantities import Now
@@ -16,6 +15,7 @@ from authguard_r.core.state import AttestedState, attest
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import Door, Region, Site, facts_of, profile_digest
 from authguard_r.site.places import adjacent, ancestors
+from fixtures import scenarios
 
 replace = msgspec.structs.replace
 
@@ -27,14 +27,14 @@ def square(x: int, y: int, side: int, **changes: Any) -> Region:
 
 
 def site(regions: dict[str, Region], *doors: Door) -> Site:
-    return replace(worlds.site(), regions=regions, doors=doors, objects={}, robots={})
+    return replace(scenarios.site(), regions=regions, doors=doors, objects={}, robots={})
 
 
 def test_the_hospital_s_rooms_are_neighbors_where_they_share_a_wall_or_a_door() -> None:
-    found = {pair.between: pair for pair in adjacent(worlds.site())}
+    found = {pair.between: pair for pair in adjacent(scenarios.site())}
     ward = found["public-corridor", "station-101"]
     assert ward.edges == (((10000, 3000), (16000, 3000)),)
-    assert [worlds.site().doors[n].at for n in ward.doors] == [(13000, 3000)]
+    assert [scenarios.site().doors[n].at for n in ward.doors] == [(13000, 3000)]
     assert found["staff-corridor", "station-102"].doors == ()  # a wall
     assert ("pharmacy", "station-101") not in found
     assert all(pair.between[0] < pair.between[1] for pair in found.values())
@@ -70,14 +70,14 @@ def test_ancestors_are_named_nearest_first_and_a_cycle_ends() -> None:
 
 def bay_within_dock(place: tuple[int, int]) -> AttestedState:
     """Return the state of a robot at a point of a dock that has a bay within it."""
-    base = worlds.site()
+    base = scenarios.site()
     points = ((35000, 500), (37000, 500), (37000, 2500), (35000, 2500))
     bay = replace(base.regions["dock"], points=points, names=(), within="dock")
     changed = replace(base, regions={**base.regions, "bay": bay})
     facts = facts_of(
-        changed, rid=worlds.RID, profile=profile_digest(base.robots["courier-1"].profile)
+        changed, rid=scenarios.RID, profile=profile_digest(base.robots["courier-1"].profile)
     )
-    seen = snapshot_of(worlds.world("dock"), robot=worlds.RID, epoch=1, seq=1)
+    seen = snapshot_of(scenarios.world("dock"), robot=scenarios.RID, epoch=1, seq=1)
     assert seen.pose is not None
     pose = replace(seen.pose, x_mm=place[0], y_mm=place[1], margin_mm=100)
     return attest(replace(seen, pose=pose), facts, arrived_mono_ms=0)
@@ -88,8 +88,8 @@ def passes(state: AttestedState, *regions: str) -> bool:
         state,
         tuple(RegionId(region) for region in regions),
         reason=Reason.OUTSIDE_REGIONS,
-        rid=worlds.RID,
-        now=Now(worlds.START_MS, 0),
+        rid=scenarios.RID,
+        now=Now(scenarios.START_MS, 0),
         max_age_ms=1_000,
     )
     return not found

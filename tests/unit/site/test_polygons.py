@@ -8,12 +8,12 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.site.check import faults
+from fixtures import scenarios
 
 
 def found(points: Any, approach: tuple[int, int] = (5, 5)) -> list[str]:
-    site = worlds.site()
+    site = scenarios.site()
     dock = msgspec.structs.replace(site.regions["dock"], points=points, approach=approach)
     changed = msgspec.structs.replace(site, regions={"dock": dock}, doors=())
     return [f.message for f in faults(changed) if f.where == "regions.dock.points"]

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import is_identifier
 from authguard_r.site.proposal import Proposal, exact, identifier, millimeters, to_yaml
 from authguard_r.site.source import parse_site
+from fixtures import scenarios
 
 replace = msgspec.structs.replace
 
@@ -67,8 +67,8 @@ def test_an_id_keeps_what_an_id_can_hold(name: str, found: str) -> None:
 @given(st.lists(st.text(min_size=1, max_size=8), max_size=4, unique=True))
 def test_a_file_with_any_names_reads_as_the_site_or_is_refused(names: list[str]) -> None:
     """Quotes, colons, hashes, `yes` and `null` are names like others."""
-    region = replace(worlds.site().regions["dock"], names=tuple(names))
-    site = replace(worlds.site(), regions={"r": region}, doors=(), objects={}, robots={})
+    region = replace(scenarios.site().regions["dock"], names=tuple(names))
+    site = replace(scenarios.site(), regions={"r": region}, doors=(), objects={}, robots={})
     try:
         text = to_yaml(Proposal(site=site, missing=()), where="x")
     except MalformedError:
@@ -78,8 +78,8 @@ def test_a_file_with_any_names_reads_as_the_site_or_is_refused(names: list[str])
 
 @pytest.mark.parametrize("name", ["0\x850", "a\nb", "a\u2028b", "a\x00b", "\x1b[2J"])
 def test_a_name_that_a_reader_of_yaml_would_mend_is_refused(name: str) -> None:
-    region = replace(worlds.site().regions["dock"], names=(name,))
-    site = replace(worlds.site(), regions={"r": region}, doors=(), objects={}, robots={})
+    region = replace(scenarios.site().regions["dock"], names=(name,))
+    site = replace(scenarios.site(), regions={"r": region}, doors=(), objects={}, robots={})
     with pytest.raises(MalformedError, match="printable"):
         to_yaml(Proposal(site=site, missing=()), where="x")
 
@@ -88,17 +88,17 @@ def test_a_name_that_a_reader_of_yaml_would_mend_is_refused(name: str) -> None:
     "name", ["yes", "null", "1", "0x10", "a: b", "# a", "'", '"', "-", "é", "~"]
 )
 def test_a_name_that_yaml_would_read_as_something_else_stays_that_name(name: str) -> None:
-    region = replace(worlds.site().regions["dock"], names=(name,))
-    site = replace(worlds.site(), regions={"1": region}, doors=(), objects={}, robots={})
+    region = replace(scenarios.site().regions["dock"], names=(name,))
+    site = replace(scenarios.site(), regions={"1": region}, doors=(), objects={}, robots={})
     assert parse_site(to_yaml(Proposal(site=site, missing=("x",)), where="x"), where="x") == site
 
 
 def test_the_hospital_written_and_read_again_is_the_hospital() -> None:
-    text = to_yaml(Proposal(site=worlds.site(), missing=()), where="x")
-    assert parse_site(text, where="x") == worlds.site()
+    text = to_yaml(Proposal(site=scenarios.site(), missing=()), where="x")
+    assert parse_site(text, where="x") == scenarios.site()
 
 
 def test_a_site_longer_than_a_site_may_be_is_not_written() -> None:
     with pytest.raises(MalformedError) as caught:
-        to_yaml(Proposal(site=worlds.site(), missing=("a" * (1 << 20),)), where="x")
+        to_yaml(Proposal(site=scenarios.site(), missing=("a" * (1 << 20),)), where="x")
     assert caught.value.where == "x"

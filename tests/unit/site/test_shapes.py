@@ -73,6 +73,7 @@ def test_overlap_and_containment_are_shapely_s_on_random_polygons(one: Any, othe
     assert contains(one, other) == shapely.covers(first, second)
 
 
+@pytest.mark.complete
 def test_overlap_and_containment_are_shapely_s_on_ten_thousand_pairs() -> None:
     dice = random.Random(3)
     shapes = [random_outline(dice) for _ in range(200)]

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import worlds
 from authguard_r.core.encoding import MAX_BYTES
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.mission import Row
@@ -25,9 +24,11 @@ from authguard_r.site.model import Parameter, Site
 from authguard_r.site.places import adjacent
 from authguard_r.site.source import convert, parse_site, read_site, read_text, read_yaml
 from authguard_r.site.strict import MAX_DEPTH, MAX_NODES
-from patience import at_most
+from fixtures import scenarios
+from fixtures.cases import case
+from fixtures.time_bounds import at_most
 
-SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
+SITE = (scenarios.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 
 
 def refused(text: str) -> str:
@@ -44,20 +45,44 @@ def yaml(text: str) -> Any:
 # -- words that only look like values --------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "word",
-    [
-        "no", "No", "NO", "yes", "Yes", "on", "On", "off", "OFF", "y", "n", "Y", "N",
-        "True", "TRUE", "False", "FALSE",
-        "2026-01-31", "2026-01-31T14:30:00Z", "2026-01-31 14:30:00",
-        "1e3", "1E3", "infinity", "nan", "NaN", "null-1", "~x", "0.8 m/s", "14:30 h", "P1",
-    ],
-)  # fmt: skip
-def test_a_word_of_the_site_stays_a_word(word: str) -> None:
+def test_a_word_of_the_site_stays_a_word() -> None:
     """`no` is a country, `on` a place, a date a label; none is a truth value or an instant."""
-    assert yaml(f"a: {word}") == {"a": word}
-    assert yaml(f"{word}: a") == {word: "a"}
-    assert yaml(f"[{word}]") == [word]
+    for word in [
+        "no",
+        "No",
+        "NO",
+        "yes",
+        "Yes",
+        "on",
+        "On",
+        "off",
+        "OFF",
+        "y",
+        "n",
+        "Y",
+        "N",
+        "True",
+        "TRUE",
+        "False",
+        "FALSE",
+        "2026-01-31",
+        "2026-01-31T14:30:00Z",
+        "2026-01-31 14:30:00",
+        "1e3",
+        "1E3",
+        "infinity",
+        "nan",
+        "NaN",
+        "null-1",
+        "~x",
+        "0.8 m/s",
+        "14:30 h",
+        "P1",
+    ]:
+        with case(word):
+            assert yaml(f"a: {word}") == {"a": word}
+            assert yaml(f"{word}: a") == {word: "a"}
+            assert yaml(f"[{word}]") == [word]
 
 
 @pytest.mark.parametrize(
@@ -142,9 +167,8 @@ def test_a_tag_of_a_program_is_refused(text: str) -> None:
     refused(text)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_broken_yaml_is_refused() -> None:
+    for text in [
         "\ta: 1",
         "a:\n\tb: 1",
         "a: [1,\t2]\n\tb: 1",
@@ -167,10 +191,9 @@ def test_a_tag_of_a_program_is_refused(text: str) -> None:
         "? {a: 1}\n: b",
         "a: =",
         "9" * 5000,
-    ],
-)
-def test_broken_yaml_is_refused(text: str) -> None:
-    refused(text)
+    ]:
+        with case(text):
+            refused(text)
 
 
 def test_the_message_says_the_line() -> None:
@@ -200,9 +223,9 @@ def filled(piece: str) -> str:
     return (piece * (MEGABYTE // len(piece) + 1))[: MEGABYTE - 4]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+@pytest.mark.complete
+def test_a_megabyte_of_yaml_is_read_or_refused_at_once() -> None:
+    for text in [
         filled("- a\n"),
         filled("- - -\n"),
         filled("a: 1\n"),
@@ -226,13 +249,12 @@ def filled(piece: str) -> str:
         filled("&a "),
         filled("!a "),
         filled("<<: {a: 1}\n"),
-    ],
-)
-def test_a_megabyte_of_yaml_is_read_or_refused_at_once(text: str) -> None:
-    with at_most(3), contextlib.suppress(MalformedError):
-        read_yaml(text, where="x")
+    ]:
+        with case(text), at_most(3), contextlib.suppress(MalformedError):
+            read_yaml(text, where="x")
 
 
+@pytest.mark.complete
 def test_more_keys_and_values_than_a_text_may_have_are_refused() -> None:
     most = ["a"] * (MAX_NODES - 1)  # the list is one too
     assert read_yaml(f"[{','.join(most)}]", where="x") == most
@@ -251,6 +273,7 @@ def test_nesting_is_read_to_its_limit_and_refused_beyond(opening: str, closing: 
     assert f"{MAX_DEPTH} levels" in caught.value.message
 
 
+@pytest.mark.complete
 @pytest.mark.parametrize(
     "text",
     [
@@ -318,9 +341,8 @@ def test_data_that_fits_is_the_struct() -> None:
     assert convert({}, Row, where="x") == Row()
 
 
-@pytest.mark.parametrize(
-    ("changes", "where"),
-    [
+def test_a_value_of_another_type_is_refused_in_its_place() -> None:
+    for changes, where in [
         ({"low": 1.0}, "x:low"),
         ({"low": 0.5}, "x:low"),
         ({"low": float("nan")}, "x:low"),
@@ -341,14 +363,11 @@ def test_data_that_fits_is_the_struct() -> None:
         ({"monitored_by": "a" * 65}, "x:monitored_by"),
         ({"lower": 1}, "x"),
         ({"Low": 1}, "x"),
-    ],
-)
-def test_a_value_of_another_type_is_refused_in_its_place(
-    changes: dict[str, Any], where: str
-) -> None:
-    with pytest.raises(MalformedError) as caught:
-        convert({**SPEED, **changes}, Parameter, where="x")
-    assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, where)
+    ]:
+        with case(changes, where):
+            with pytest.raises(MalformedError) as caught:
+                convert({**SPEED, **changes}, Parameter, where="x")
+            assert (caught.value.reason, caught.value.where) == (Reason.MALFORMED, where)
 
 
 @pytest.mark.parametrize("missing", SPEED)
@@ -381,12 +400,12 @@ def site_file(folder: Path, *changes: tuple[str, str]) -> Path:
 
 
 def test_the_shipped_site_is_read(tmp_path: Path) -> None:
-    assert read_site(site_file(tmp_path)) == worlds.site()
+    assert read_site(site_file(tmp_path)) == scenarios.site()
 
 
 def test_the_order_in_which_a_person_writes_does_not_matter(tmp_path: Path) -> None:
     path = site_file(tmp_path, ("version: 1\n", ""), ("schema: ", "version: 1\nschema: "))
-    assert read_site(path) == worlds.site()
+    assert read_site(path) == scenarios.site()
 
 
 @pytest.mark.parametrize(
@@ -460,7 +479,7 @@ def test_a_duplicate_region_is_refused_before_one_hides_the_other(tmp_path: Path
 
 # -- any data at all -------------------------------------------------------------------------------
 
-PLAIN: Any = msgspec.json.decode(msgspec.json.encode(worlds.site()))
+PLAIN: Any = msgspec.json.decode(msgspec.json.encode(scenarios.site()))
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner),

@@ -9,14 +9,14 @@ from typing import Any
 import msgspec
 import pytest
 
-import worlds
 from authguard_r.core.errors import MalformedError
 from authguard_r.site.check import faults
 from authguard_r.site.model import ActionModel, site_digest
 from authguard_r.site.source import parse_site, read_yaml
 from authguard_r.site.words import standard_words, with_words
+from fixtures import scenarios
 
-SITE = (worlds.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
+SITE = (scenarios.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 BARE = SITE.partition("vocabulary:")[0]
 HALL = "regions: {}\nobjects: {}\nrobots: {}\n"
 HEAD = f"schema: authguard-r/site/1\nid: hall\nversion: 1\n{HALL}"
@@ -29,7 +29,7 @@ def refused(text: str) -> str:
 
 
 def test_the_standard_vocabulary_is_sound_as_a_site_s_own() -> None:
-    site = msgspec.structs.replace(worlds.site(), vocabulary=standard_words())
+    site = msgspec.structs.replace(scenarios.site(), vocabulary=standard_words())
     assert faults(site) == ()
 
 
@@ -80,8 +80,8 @@ def test_a_site_may_take_over_some_words_beside_its_own() -> None:
 def test_a_site_without_words_keeps_its_digest_and_one_with_them_is_what_it_spells_out() -> None:
     """A later release of the standard vocabulary changes no signed site."""
     own = parse_site(SITE, where="x")
-    assert site_digest(own) == site_digest(worlds.site())
-    assert set(own.vocabulary) == set(worlds.site().vocabulary)
+    assert site_digest(own) == site_digest(scenarios.site())
+    assert set(own.vocabulary) == set(scenarios.site().vocabulary)
     words = sorted(own.vocabulary)
     same = [word for word in words if own.vocabulary[word] == standard_words()[word]]
     assert "wait" in same

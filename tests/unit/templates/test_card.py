@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.assembly import Simulation
 from authguard_r.audit.record import read_sealed
 from authguard_r.compile.card import card_digest, review
@@ -22,9 +20,10 @@ from authguard_r.templates.card import (
     review_template,
 )
 from authguard_r.templates.confirmation import confirm_template, confirmation_bytes
-from deliveries import edited, template
+from fixtures import scenarios, templates
+from fixtures.templates import edited, template
 
-SITE = worlds.site()
+SITE = scenarios.site()
 
 
 def test_every_line_of_every_mission_s_card_is_on_the_template_s_card() -> None:
@@ -94,7 +93,7 @@ def test_numbers_are_not_looked_up() -> None:
 def said(how: How = How.INTERACTIVE) -> bytes:
     card = card_digest(tuple(review_template(template(), every_mission(template()), SITE)))
     accepted = (Code.UNGUARDED_RETURN,)
-    record = confirm_template(template(), card=card, how=how, accepted=accepted, now=worlds.NOW)
+    record = confirm_template(template(), card=card, how=how, accepted=accepted, now=scenarios.NOW)
     return confirmation_bytes(record)
 
 
@@ -104,8 +103,8 @@ def sealed(sim: Simulation) -> dict[str, object]:
 
 
 def test_the_confirmation_goes_into_the_log_with_the_template() -> None:
-    sim = deliveries.simulation()
-    sim.gate.management.template(deliveries.signed(), confirmation=said())
+    sim = templates.simulation()
+    sim.gate.management.template(templates.signed(), confirmation=said())
     record = sealed(sim)
     assert set(record) == {"token", "confirmation"}
     assert record["confirmation"]["how"] == "interactive"  # type: ignore[index]
@@ -113,13 +112,13 @@ def test_the_confirmation_goes_into_the_log_with_the_template() -> None:
 
 
 def test_without_a_confirmation_the_log_says_so() -> None:
-    sim = deliveries.admitted()
+    sim = templates.admitted()
     assert sealed(sim)["confirmation"] == "none"
-    assert sealed(sim)["token"] == deliveries.signed().decode().strip()
+    assert sealed(sim)["token"] == templates.signed().decode().strip()
 
 
 OTHER = confirm_template(
-    edited(instances=51), card=None, how=How.SCRIPT, accepted=(), now=worlds.NOW
+    edited(instances=51), card=None, how=How.SCRIPT, accepted=(), now=scenarios.NOW
 )
 
 
@@ -133,10 +132,10 @@ OTHER = confirm_template(
     ],
 )
 def test_a_confirmation_of_something_else_takes_nothing_in(data: bytes, reason: str) -> None:
-    sim = deliveries.simulation()
+    sim = templates.simulation()
     with pytest.raises(AuthGuardError) as error:
-        sim.gate.management.template(deliveries.signed(), confirmation=data)
+        sim.gate.management.template(templates.signed(), confirmation=data)
     assert str(error.value.reason) == reason
     with pytest.raises(AuthGuardError) as error:
-        sim.gate.management.activate(deliveries.token())
+        sim.gate.management.activate(templates.token())
     assert error.value.reason is Reason.MISSION_UNKNOWN

@@ -8,22 +8,21 @@ from typing import Any
 
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.templates import Template, combinations, filled
 from authguard_r.templates.derive import compile_template, template_bytes
+from fixtures import scenarios, templates
 
 
 def compiled(plain: Any) -> Template:
-    return compile_template(plain, worlds.site(), now=worlds.NOW)
+    return compile_template(plain, scenarios.site(), now=scenarios.NOW)
 
 
 def changed(*path: Any, to: Any) -> dict[str, Any]:
     """Return the shipped draft with one thing of it replaced, or taken out."""
-    plain = deepcopy(deliveries.draft())
+    plain = deepcopy(templates.draft())
     node = plain
     for step in path[:-1]:
         node = node[step]
@@ -41,7 +40,7 @@ def refused(plain: Any, where: str, reason: Reason = Reason.MALFORMED) -> None:
 
 
 def test_the_shipped_draft_becomes_a_template_with_its_holes() -> None:
-    template = compiled(deliveries.draft())
+    template = compiled(templates.draft())
     assert template.mission["task"] == [
         "Carry ",
         {"hole": "package"},
@@ -84,19 +83,19 @@ def test_numbers_are_written_with_their_unit() -> None:
 
 
 def test_a_draft_without_holes_is_a_template_too() -> None:
-    mission = {k: v for k, v in worlds.draft().items() if k not in {"mission", "window"}}
-    plain = {**deliveries.draft(), "holes": {}, "mission": mission}
+    mission = {k: v for k, v in scenarios.draft().items() if k not in {"mission", "window"}}
+    plain = {**templates.draft(), "holes": {}, "mission": mission}
     assert list(combinations(compiled(plain))) == [{}]
 
 
 def test_an_end_may_be_said_as_an_instant() -> None:
     plain = {**changed("lasts", to=None), "not_after": "2099-01-01T00:00:00Z"}
     assert compiled(plain).not_after == "2099-01-01T00:00:00Z"
-    refused({**deliveries.draft(), "not_after": "2099-01-01T00:00:00Z"}, "not_after")
+    refused({**templates.draft(), "not_after": "2099-01-01T00:00:00Z"}, "not_after")
 
 
 def test_what_is_open_is_asked_about_all_at_once() -> None:
-    plain = deliveries.draft()
+    plain = templates.draft()
     for name in ("instances", "rate", "for", "lasts"):
         del plain[name]
     with pytest.raises(ClarificationError) as asked:

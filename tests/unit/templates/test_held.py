@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-import deliveries
-import worlds
 from authguard_r.core.encoding import Tag, digest_of, encode_fast
 from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import Digest
@@ -14,8 +12,9 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission
 from authguard_r.templates import Pair, held_mission
+from fixtures import scenarios, templates
 
-MISSION = worlds.mission()
+MISSION = scenarios.mission()
 DIGEST = digest_of(Tag.MISSION, MISSION)
 
 
@@ -25,16 +24,16 @@ def pair(instance: bytes, template: bytes) -> bytes:
 
 
 def test_what_is_held_is_the_mission_and_no_authority() -> None:
-    held = held_mission(worlds.token(), DIGEST)
+    held = held_mission(scenarios.token(), DIGEST)
     assert (held.mission, held.digest) == (MISSION, DIGEST)
     assert held.expiry_ms == to_ms(MISSION.expiry, where="mission.expiry")
     assert not isinstance(held, VerifiedMission)
 
 
 def test_a_pair_is_the_mission_that_its_template_was_filled_with() -> None:
-    sim = deliveries.admitted()
-    standing = sim.gate.management.activate(deliveries.token())
-    held = held_mission(pair(deliveries.token(), deliveries.signed()), standing.digest)
+    sim = templates.admitted()
+    standing = sim.gate.management.activate(templates.token())
+    held = held_mission(pair(templates.token(), templates.signed()), standing.digest)
     assert held.mission.mid == "deliver.1"
 
 
@@ -44,11 +43,11 @@ def test_a_pair_is_the_mission_that_its_template_was_filled_with() -> None:
         b"",
         b"{}",
         b'{"instance":',
-        deliveries.signed(),
-        pair(deliveries.token(), worlds.token()),
-        pair(worlds.token(), deliveries.signed()),
-        pair(deliveries.token(deliveries.instance(fill={})), deliveries.signed()),
-        worlds.token(worlds.mission(mission="another")),
+        templates.signed(),
+        pair(templates.token(), scenarios.token()),
+        pair(scenarios.token(), templates.signed()),
+        pair(templates.token(templates.instance(fill={})), templates.signed()),
+        scenarios.token(scenarios.mission(mission="another")),
     ],
     ids=[
         "nothing",

@@ -9,7 +9,6 @@ import msgspec
 import pytest
 
 import authguard_reference.templates as oracle
-import deliveries
 from authguard_r.core.encoding import decode, encode, encode_fast
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.mission import Mission, Rate
@@ -26,7 +25,9 @@ from authguard_r.templates import (
 )
 from authguard_r.templates.expansion import require_fill
 from authguard_r.templates.template import PLACES, holes_in, rule_of
-from deliveries import SET, edited, template
+from fixtures import templates
+from fixtures.cases import case
+from fixtures.templates import SET, edited, template
 
 SPEED = Hole(kind=HoleKind.INTEGER, values=(300, 800))
 HOLE = {"hole": "station"}
@@ -106,13 +107,13 @@ NO_PLACE: dict[str, tuple[Any, ...]] = {
 }
 
 
-@pytest.mark.parametrize("what", NO_PLACE)
-def test_a_hole_stands_for_no_part_of_a_mission_s_shape(what: str) -> None:
-    path = NO_PLACE[what]
-    change = (path[:-1], [HOLE]) if path[-2:] == ("after", 0) else (path, HOLE)
-    bad = edited(change)
-    place = "mission" + "".join(f"[{s}]" if isinstance(s, int) else f".{s}" for s in path)
-    assert place_of_fault(bad) == place
+def test_a_hole_stands_for_no_part_of_a_mission_s_shape() -> None:
+    for what, path in NO_PLACE.items():
+        with case(what):
+            change = (path[:-1], [HOLE]) if path[-2:] == ("after", 0) else (path, HOLE)
+            bad = edited(change)
+            place = "mission" + "".join(f"[{s}]" if isinstance(s, int) else f".{s}" for s in path)
+            assert place_of_fault(bad) == place
 
 
 def test_a_mission_that_is_a_hole_altogether_is_refused() -> None:
@@ -231,7 +232,7 @@ def test_a_template_says_how_often_and_how_long(field: str, value: int) -> None:
 
 @pytest.mark.parametrize("value", [True, None, 1.5, ["package-p1"], {"hole": "package"}])
 def test_an_instance_s_value_is_a_name_or_an_integer(value: Any) -> None:
-    plain = {**msgspec.to_builtins(deliveries.instance()), "fill": {"package": value}}
+    plain = {**msgspec.to_builtins(templates.instance()), "fill": {"package": value}}
     with pytest.raises(MalformedError):
         decode(msgspec.json.Encoder(order="sorted").encode(plain), Instance)
 
@@ -291,7 +292,7 @@ def test_the_oracle_fills_the_same() -> None:
     plain = msgspec.json.decode(encode(template()))
     assert oracle.fills(plain) == list(combinations(template()))
     for fill in oracle.fills(plain):
-        said = msgspec.json.decode(encode(deliveries.instance(fill=fill)))
+        said = msgspec.json.decode(encode(templates.instance(fill=fill)))
         made = expand(
             template(),
             fill,
@@ -302,5 +303,5 @@ def test_the_oracle_fills_the_same() -> None:
         )
         again = msgspec.convert(oracle.expand(plain, said), Mission)
         assert encode(again) == encode(made)
-        assert oracle.covers(plain, deliveries.digest(), said, 1_500_000)
+        assert oracle.covers(plain, templates.digest(), said, 1_500_000)
         assert not oracle.covers(plain, "A" * 43, said, 1_500_000)

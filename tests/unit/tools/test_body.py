@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-import worlds
 from authguard_r.client.controller import Told
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
@@ -23,6 +22,7 @@ from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.tools import body as body_module
 from authguard_r.tools.body import Means, ToolBody, ToolFlight
 from authguard_r.tools.server import Answer, CallError
+from fixtures import scenarios
 
 
 class Silent:
@@ -62,21 +62,21 @@ class Robot:
 
 DONE, ERROR = Answer(is_error=False), Answer(is_error=True)
 LOST = CallError("nobody answers", sent=True)
-GO, TICKET = worlds.navigate("dock", "pharmacy"), worlds.TICKET
+GO, TICKET = scenarios.navigate("dock", "pharmacy"), scenarios.TICKET
 
 
 def body_of(robot: Robot, *stops: str, demand: dict[str, Any] | None = None) -> ToolBody:
     """Return a body whose stop calls are these, of which the binding demands something."""
-    binding = worlds.binding()
+    binding = scenarios.binding()
     say = replace(binding.tools["say"], succeeds=demand or {})
     binding = replace(binding, tools={**binding.tools, "say": say})
     means = Means(
-        site=worlds.site(),
-        binder=Binder(worlds.site(), binding),
-        rebuilder=Rebuilder(worlds.site(), binding),
+        site=scenarios.site(),
+        binder=Binder(scenarios.site(), binding),
+        rebuilder=Rebuilder(scenarios.site(), binding),
         stops=tuple(Call(stop, {"text": "halt"}, "stop") for stop in stops),
     )
-    return ToolBody(worlds.RID, robot, means, lambda: None)
+    return ToolBody(scenarios.RID, robot, means, lambda: None)
 
 
 async def until(holds: Callable[[], object]) -> None:
@@ -199,7 +199,7 @@ def test_who_lets_go_in_mid_motion_stops_first_and_does_not_wait_for_ever(
 
 
 def test_the_first_word_on_how_it_ended_counts() -> None:
-    kind = worlds.site().vocabulary[worlds.navigate("dock", "pharmacy").type]
+    kind = scenarios.site().vocabulary[scenarios.navigate("dock", "pharmacy").type]
     flight = ToolFlight(kind)
     flight.end(Outcome.FAILED, Told(b"x", ("x",)))
     flight.end(Outcome.SUCCEEDED)
@@ -210,11 +210,11 @@ def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
     async def talk() -> None:
         ended = asyncio.Event()
         means = Means(
-            site=worlds.site(),
-            binder=Binder(worlds.site(), worlds.binding()),
-            rebuilder=Rebuilder(worlds.site(), worlds.binding()),
+            site=scenarios.site(),
+            binder=Binder(scenarios.site(), scenarios.binding()),
+            rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
         )
-        body = ToolBody(worlds.RID, Silent(), means, ended.set)
+        body = ToolBody(scenarios.RID, Silent(), means, ended.set)
         flight = body.begin(GO, TICKET)
         assert not body.stands
         await ended.wait()

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import worlds
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
@@ -16,35 +15,43 @@ from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.signed import sign_site
 from authguard_r.tools.given import given_binding, trusted_site
+from fixtures import scenarios
 
-PLAIN = worlds.HOSPITAL / "site.yaml"
+PLAIN = scenarios.HOSPITAL / "site.yaml"
 
 
 def test_a_plain_site_counts_beside_a_demonstrations_root_alone(tmp_path: Path) -> None:
-    assert trusted_site(PLAIN, read_trust(worlds.trust_folder())) == worlds.site()
+    assert trusted_site(PLAIN, read_trust(scenarios.trust_folder())) == scenarios.site()
     folder = tmp_path / "trust"
-    init_folder(folder, demo_members(worlds.site(), (worlds.RID,)), now=now(), title="A real site")
+    init_folder(
+        folder, demo_members(scenarios.site(), (scenarios.RID,)), now=now(), title="A real site"
+    )
     with pytest.raises(AuthenticityError, match="expected a signed site"):
         trusted_site(PLAIN, read_trust(folder))
 
 
 def now() -> datetime:
-    return datetime.fromtimestamp(worlds.START_MS / 1000, UTC)
+    return datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 
 
 def test_a_signed_site_counts_and_a_forged_one_does_not(tmp_path: Path) -> None:
-    trust = read_trust(worlds.trust_folder())
+    trust = read_trust(scenarios.trust_folder())
     path = tmp_path / "site.token"
-    token = sign_site(worlds.site(), folder_signer(worlds.trust_folder(), "site-authority-1"))
+    token = sign_site(scenarios.site(), folder_signer(scenarios.trust_folder(), "site-authority-1"))
     path.write_bytes(token)
-    assert trusted_site(path, trust) == worlds.site()
-    assert trusted_site(path, trust, Now(worlds.START_MS, 0)) == worlds.site()
-    path.write_bytes(sign_site(worlds.site(), folder_signer(worlds.trust_folder(), "operator-1")))
+    assert trusted_site(path, trust) == scenarios.site()
+    assert trusted_site(path, trust, Now(scenarios.START_MS, 0)) == scenarios.site()
+    path.write_bytes(
+        sign_site(scenarios.site(), folder_signer(scenarios.trust_folder(), "operator-1"))
+    )
     with pytest.raises(AuthenticityError):
         trusted_site(path, trust)
 
 
 def test_a_binding_of_another_site_is_none() -> None:
-    assert given_binding(str(worlds.HOSPITAL / "binding.yaml"), worlds.site()) == worlds.binding()
+    assert (
+        given_binding(str(scenarios.HOSPITAL / "binding.yaml"), scenarios.site())
+        == scenarios.binding()
+    )
     with pytest.raises(MalformedError):
-        given_binding("nav2", worlds.site())
+        given_binding("nav2", scenarios.site())

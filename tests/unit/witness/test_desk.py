@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-import witnessing
 from authguard_r.audit.note import read_key, read_note
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -34,7 +33,8 @@ from authguard_r.witness.state import (
     read_evidence,
     read_folder,
 )
-from witnessing import NAME, NOW_S, ORIGIN, Log, attested, make, opened, request
+from fixtures import witness_process
+from fixtures.witness_process import NAME, NOW_S, ORIGIN, Log, attested, make, opened, request
 
 WITNESS_KINDS = (Algorithm.ED25519, Algorithm.ML_DSA_44)
 
@@ -165,7 +165,7 @@ def test_evidence_is_bounded_and_nothing_is_kept_twice(folder: Path, log: Log) -
 
 def test_signatures_of_others_are_not_stored(folder: Path, log: Log) -> None:
     others = Log().grow(20).note().signatures * 20
-    note = witnessing.Note(log.text(), (*others, *log.note().signatures))
+    note = witness_process.Note(log.text(), (*others, *log.note().signatures))
     assert ask(folder, request(0, (), note)).status == 200
     kept = read_note(read_folder(folder).logs[ORIGIN].note.encode(), where="kept")
     assert [one.name for one in kept.signatures] == [ORIGIN, NAME]

@@ -17,7 +17,8 @@ from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.notes import cosign, log_key, witness_key
 from authguard_r.witness import rules
 from authguard_r.witness.rules import Finding, judge, own_part, read_request, require_log_keys
-from witnessing import ORIGIN, Log, request
+from fixtures.cases import case
+from fixtures.witness_process import ORIGIN, Log, request
 
 LOG = Log().grow(20)
 FORK = LOG.fork(8).grow(12)
@@ -89,10 +90,11 @@ ANSWERS: dict[str, tuple[bytes, rules.Log | None, int, Finding, int | None]] = {
 }
 
 
-@pytest.mark.parametrize("name", ANSWERS)
-def test_every_answer_is_the_specifications(name: str) -> None:
-    body, known, *expected = ANSWERS[name]
-    assert found(body, known) == tuple(expected)
+def test_every_answer_is_the_specifications() -> None:
+    for name, value in ANSWERS.items():
+        with case(name):
+            body, known, *expected = value
+            assert found(body, known) == tuple(expected)
 
 
 def test_every_finding_has_a_status_and_a_case() -> None:
@@ -144,9 +146,10 @@ MALFORMED: dict[str, bytes] = {
 }
 
 
-@pytest.mark.parametrize("name", MALFORMED)
-def test_what_is_no_request_is_told_from_what_is_wrong(name: str) -> None:
-    assert found(MALFORMED[name])[:2] == (400, Finding.MALFORMED)
+def test_what_is_no_request_is_told_from_what_is_wrong() -> None:
+    for name in MALFORMED:
+        with case(name):
+            assert found(MALFORMED[name])[:2] == (400, Finding.MALFORMED)
 
 
 def test_the_longest_proof_and_a_note_with_more_lines_are_read() -> None:

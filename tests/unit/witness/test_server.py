@@ -29,7 +29,7 @@ from authguard_r.witness.server import (
     read_address,
     run_witness,
 )
-from witnessing import ORIGIN, SOON_S, Log, make, open_witness
+from fixtures.witness_process import ORIGIN, SOON_S, Log, make, open_witness
 
 PATIENT = Limits()
 HASTY = Limits(request_s=0.2, idle_s=0.2, answer_s=0.2, linger_s=0.2)
