@@ -231,8 +231,8 @@ class Worker:
     """The warm process that forks gates (crash_worker.py)."""
 
     def __init__(self, folder: Path, token: Path, errors: Path) -> None:
-        tests = str(Path(scenarios.__file__).parent)
-        path = os.pathsep.join(filter(None, (tests, os.environ.get("PYTHONPATH"))))
+        tests = scenarios.ROOT / "tests"
+        path = os.pathsep.join(filter(None, (str(tests), os.environ.get("PYTHONPATH"))))
         script = Path(__file__).with_name("crash_worker.py")
         self._errors = errors
         with errors.open("wb") as stderr:
