@@ -24,7 +24,7 @@ from typing import Any
 import machine
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from fixtures.ros_processes import Driving, Robot
+from fixtures.ros_processes import Driving, Robot, Watched
 
 #: Told to a base with the events of DDS, and to one with its own watch alone.
 FAULTS = {
@@ -43,7 +43,7 @@ ACTUATOR_MS, CANCELED_MS = 100.0, 98.0
 def trial(python: str, fault: str, base: tuple[str, ...]) -> tuple[float, float]:
     """Return how many milliseconds after the fault the base stood and the goal was canceled."""
     with Robot(python) as robot:
-        driving = Driving(robot, base=base)
+        driving = Driving(Watched(robot, *base))
         time.sleep(random.uniform(0, 0.2))  # between two samples, wherever it hits
         begun = driving.fault(fault)
         return driving.stopped_ms(begun), driving.canceled_ms(begun)

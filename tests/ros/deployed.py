@@ -31,7 +31,7 @@ FAULTS = {
     "a stuck loop of asyncio": LOOP,
 }
 TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-ARMED, FOUND = '"event": "armed"', '"event": "found"'
+ARMED, FOUND, CANCELED = (f'"event": "{name}"' for name in ("armed", "found", "canceled"))
 
 
 class Guarded:
@@ -39,24 +39,40 @@ class Guarded:
 
     def __init__(self, graph: Graph, ending: ExitStack) -> None:
         self.graph = graph
-        self.wheels = Base(graph.robot, Twist, "/base/cmd_vel")
+        self.wheels = Base(graph.robot.wheels, Twist, "/base/cmd_vel")
         text = (HERE / "map.yaml").read_text()
         text = text.replace("[/robot]}", "[/robot], publishes: [/base/cmd_vel]}")
         source = graph.folder / "source.yaml"  # the graph gives it its domain
         source.write_text(text)
         self.map = graph.folder / "guarded.yaml"
         self.map.write_text(text.replace("domain: 1\n", f"domain: {graph.domain}\n"))
-        self.relay = self._start(ending, "actuator", "wheels", "/base/cmd_vel")
-        self.deadman = self._start(ending, "deadman")
-        graph.start(source, STUCK)
+        self._source, self._ending = source, ending
+        self.relay = self._start("actuator", "wheels", "/base/cmd_vel")
+        self.deadman: Actor | None = None
+
+    def begin(self) -> None:
+        """Start the node, which may have died before, and wait until it is watched.
+
+        Its dead-man begins anew, too: it says once what comes again and again.
+        """
+        if self.deadman is not None:
+            self.deadman.end()
+        self.deadman = self._start("deadman")
+        self.graph.start(self._source, STUCK)
         self.deadman.says(ARMED)
         self.deadman.says(FOUND, times=2)  # of both servers: nodes find one another slowly
-        until(lambda: self.wheels.told, "the relay")
+        self.wheels.forget()
+        until(lambda: self.wheels.heard, "the relay")
 
-    def _start(self, ending: ExitStack, module: str, *words: str) -> Actor:
+    def canceled(self) -> None:
+        """Wait until its dead-man has said that it canceled a goal."""
+        assert self.deadman is not None
+        self.deadman.says(CANCELED)
+
+    def _start(self, module: str, *words: str) -> Actor:
         name = f"authguard_r.ros.nodes.{module}"
         actor = Actor(["-m", name, str(self.map), *words, "--demo"], sys.executable)
-        ending.callback(actor.end)
+        self._ending.callback(actor.end)
         actor.event("ready")
         return actor
 
@@ -64,8 +80,7 @@ class Guarded:
         """Return when the wheels were told zero, and never anything else since."""
 
         def found() -> float | None:
-            told = zip(self.wheels.at_s, self.wheels.speeds, strict=False)
-            since = [(at, speed) for at, speed in tuple(told) if at > after]
+            since = [(at, said.linear.x) for at, said in tuple(self.wheels.heard) if at > after]
             zeros = [at for at, speed in since if speed == 0.0]
             return zeros[0] if zeros else None
 
@@ -76,5 +91,8 @@ class Guarded:
 
 @contextmanager
 def guarded(folder: Path, gate: RunningGate) -> Iterator[Guarded]:
+    """Yield one whose node lives."""
     with graph_of(folder, gate) as graph, ExitStack() as ending:
-        yield Guarded(graph, ending)
+        made = Guarded(graph, ending)
+        made.begin()
+        yield made

@@ -33,7 +33,7 @@ from geometry_msgs.msg import Twist
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future as RosFuture
@@ -44,8 +44,10 @@ from test_msgs.action import Fibonacci
 from authguard_r.client.link import Log
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import parse_map
+from authguard_r.ros.names import Part
 from authguard_r.ros.nodes.heartbeat import steady
 from authguard_r.ros.nodes.mediator import Mediator, Place, mediating
+from authguard_r.ros.nodes.values import load_type
 from authguard_r.site.source import read_site
 from authguard_r.tools.given import given_binding
 from fixtures import scenarios
@@ -64,9 +66,10 @@ class Peer:
     Args:
         name: the node's.
         domain: where.
+        is_quick: none of its callbacks waits for another.
     """
 
-    def __init__(self, name: str, domain: int) -> None:
+    def __init__(self, name: str, domain: int, *, is_quick: bool = False) -> None:
         self._context = Context()
         rclpy.init(
             args=[],
@@ -78,7 +81,11 @@ class Peer:
         self.node = Node(
             name, context=self._context, start_parameter_services=False, enable_rosout=False
         )
-        self._executor = MultiThreadedExecutor(4, context=self._context)
+        self._executor: Executor = (
+            SingleThreadedExecutor(context=self._context)
+            if is_quick
+            else MultiThreadedExecutor(4, context=self._context)
+        )
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -99,9 +106,14 @@ class Peer:
         self._executor.create_task(lambda: begin().add_done_callback(answered))
         return found
 
+    @property
+    def is_alive(self) -> bool:
+        """True while its thread spins."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
         """End it; a second time changes nothing."""
-        if not self._thread.is_alive():
+        if not self.is_alive:
             return
         self._executor.shutdown()
         self._thread.join(5)
@@ -121,21 +133,11 @@ class Arm:
     """
 
     def __init__(self, peer: Peer, kind: Any, name: str) -> None:
-        self.goals: list[Any] = []
-        self.canceled: list[bool] = []
-        self.canceled_s = 0.0
-        self.takes = True
-        self.yields = True  # to a cancellation
-        self.asked_to_cancel = 0
+        self._peer, self._kind = peer, kind
+        self._running: set[bytes] = set()  # by the goals' ids
         self.answers = threading.Event()  # whether it takes a goal
-        self.answers.set()
         self.end = threading.Event()
-        self.abort = False
-        self.feedback: list[Any] = []
-        self.result: Any = kind.Result()
-        #: what it says of a goal, and its result, where that depends on the goal
-        self.each: Callable[[Any], tuple[Any, Any]] | None = None
-        self._peer = peer
+        self.forget()
         ActionServer(
             peer.node,
             kind,
@@ -147,6 +149,29 @@ class Arm:
             result_timeout=2,
         )
 
+    def forget(self) -> None:
+        """Begin anew: nothing runs, and every goal is taken."""
+        self.goals: list[Any] = []
+        self.canceled: list[bool] = []
+        self.canceled_s = 0.0
+        self.takes = True
+        self.yields = True  # to a cancellation
+        self.asked_to_cancel = 0
+        self.answers.set()
+        self.end.clear()
+        self.abort = False
+        self.feedback: list[Any] = []
+        self.result: Any = self._kind.Result()
+        #: what it says of a goal, and its result, where that depends on the goal
+        self.each: Callable[[Any], tuple[Any, Any]] | None = None
+
+    def rest(self) -> None:
+        """End every goal that runs."""
+        self.yields = True
+        self.answers.set()
+        self.end.set()
+        until(lambda: not self._running, "the end of a robot's goals", seconds=PATIENCE_S)
+
     def _cancel(self, _: Any) -> CancelResponse:
         self.asked_to_cancel += 1
         return CancelResponse.ACCEPT if self.yields else CancelResponse.REJECT
@@ -157,6 +182,14 @@ class Arm:
         return GoalResponse.ACCEPT if self.takes else GoalResponse.REJECT
 
     async def _run(self, handle: Any) -> Any:
+        key = bytes(handle.goal_id.uuid)
+        self._running.add(key)
+        try:
+            return await self._carried(handle)
+        finally:
+            self._running.discard(key)
+
+    async def _carried(self, handle: Any) -> Any:
         feedbacks, result = self.feedback, self.result
         if self.each is not None:
             first, result = self.each(handle.request)
@@ -176,7 +209,7 @@ class Arm:
         """Wait without a thread: many goals run at once."""
         over: Any = RosFuture()
         timer = self._peer.node.create_timer(
-            0.005, lambda: holds() and over.set_result(None), self._peer.group, steady()
+            0.01, lambda: holds() and over.set_result(None), self._peer.group, steady()
         )
         await over
         timer.cancel()
@@ -193,23 +226,26 @@ class Base:
     """
 
     def __init__(self, peer: Peer, kind: Any, name: str) -> None:
-        self.told: list[Any] = []
-        self.at_s: list[float] = []
+        #: when it was told something, on the monotonic clock, and what
+        self.heard: list[tuple[float, Any]] = []
         peer.node.create_subscription(kind, name, self._hear, 10, callback_group=peer.group)
 
     def _hear(self, message: Any) -> None:
-        self.told.append(message)
-        self.at_s.append(time.monotonic())
+        self.heard.append((time.monotonic(), message))
+
+    def forget(self) -> None:
+        """Forget what it was told."""
+        self.heard = []
 
     @property
     def last_s(self) -> float:
         """When it was told anything last, on the monotonic clock."""
-        return self.at_s[-1]
+        return self.heard[-1][0]
 
     @property
     def speeds(self) -> list[float]:
         """Return how fast it was told to go ahead."""
-        return [message.linear.x for message in self.told]
+        return [message.linear.x for _, message in tuple(self.heard)]
 
 
 class Robot(Peer):
@@ -217,12 +253,12 @@ class Robot(Peer):
 
     def __init__(self, domain: int) -> None:
         super().__init__("robot", domain)
+        #: hears fifty velocities a second, and nothing else looks up each time
+        self.wheels = Peer("wheels", domain, is_quick=True)
         self.arm = Arm(self, Fibonacci, "/fibonacci")
         self.chimes = Arm(self, Fibonacci, "/chimes")
-        self.base = Base(self, Twist, "/cmd_vel")
-        self.calls: list[str] = []
-        self.says = "done"
-        self.lamps: list[int] = []
+        self.base = Base(self.wheels, Twist, "/cmd_vel")
+        self.forget()
         node, group = self.node, self.group
         for name in ("horn", "hold"):
             called = partial(self._told, name)
@@ -233,6 +269,24 @@ class Robot(Peer):
         node.create_subscription(
             UInt8, "/lamp", lambda m: self.lamps.append(m.data), 10, callback_group=group
         )
+
+    def close(self) -> None:
+        self.wheels.close()
+        super().close()
+
+    def forget(self) -> None:
+        """Begin anew: it was told nothing."""
+        self.arm.forget()
+        self.chimes.forget()
+        self.base.forget()
+        self.calls: list[str] = []
+        self.lamps: list[int] = []
+        self.says = "done"
+
+    def rest(self) -> None:
+        """End what runs."""
+        self.arm.rest()
+        self.chimes.rest()
 
     def _told(self, name: str, _: object, answer: Any) -> Any:
         self.calls.append(name)
@@ -295,22 +349,53 @@ class Client(ActionClient):  # type: ignore[misc]
 
 
 class Planner(Peer):
-    """Whoever asks."""
+    """Whoever asks.
+
+    What it makes is returned once the other side knows of it: DDS drops a request of a client that
+    its server has not found yet, though the client has found the server.
+    """
 
     def client(self, kind: Any, name: str) -> Any:
         made = Client(self.node, kind, name, callback_group=self.group)
         until(made.server_is_ready, name, seconds=PATIENCE_S)
+        self._become_known(name)
         return made
 
     def call(self, kind: Any, name: str, request: Any) -> Future[Any]:
         made = self.node.create_client(kind, name, callback_group=self.group)
         until(made.service_is_ready, name, seconds=PATIENCE_S)
+        self._become_known(name)
         return self.ask(lambda: made.call_async(request))
 
     def publisher(self, kind: Any, name: str, depth: int = 10) -> Any:
         made = self.node.create_publisher(kind, name, depth, callback_group=self.group)
         until(made.get_subscription_count, name, seconds=PATIENCE_S)
+        self._become_known(name)
         return made
+
+    def _become_known(self, name: str) -> None:
+        """Wait until an action's server on the same side answers what is asked of no goal.
+
+        A side finds what another has made in the order in which it was made, and this comes last.
+        """
+        side = "/llm/" if name.startswith("/llm/") else name
+        for found, types in self.node.get_service_names_and_types():
+            action, is_one, _ = found.rpartition("/_action/get_result")
+            if is_one and action.startswith(side):
+                kind = load_type(types[0].removesuffix("_GetResult"), Part.ACTION)
+                return self._ask_of_nothing(kind.Impl.GetResultService, found)
+        return None
+
+    def _ask_of_nothing(self, kind: Any, name: str) -> None:
+        client = self.node.create_client(kind, name, callback_group=self.group)
+
+        def is_answered() -> bool:
+            try:
+                return self.ask(lambda: client.call_async(kind.Request())).result(0.5) is not None
+            except TimeoutError:
+                return False
+
+        until(is_answered, f"an answer of `{name}`", seconds=PATIENCE_S)
 
 
 class Graph:
@@ -329,6 +414,7 @@ class Graph:
         self._peers: list[Peer] = []
         self._others: list[subprocess.Popen[str]] = []
         self.process: subprocess.Popen[str] | None = None
+        self._said_before = 0
         self.mediator: Mediator  # of a node `inside`
         self.robot: Robot = self.add(Robot(domain))
 
@@ -380,6 +466,7 @@ class Graph:
         given |= {"binding": gate.binding, **files}
         words = [str(word) for name, value in given.items() for word in (f"--{name}", value)]
         self._errors = (self.folder / "node.err").open("w")
+        self._said_before = 0
         self.process = subprocess.Popen(
             [*command, "--demo", *words, *more],
             stdout=subprocess.PIPE,
@@ -394,18 +481,22 @@ class Graph:
         assert self.process is not None
         return self.process.wait(PATIENCE_S)
 
-    @contextmanager
-    def inside(self) -> Iterator[asyncio.AbstractEventLoop]:
-        """Yield the event loop of a node in a thread of this process."""
-        gate, begun, over = self._gate, Future[asyncio.AbstractEventLoop](), asyncio.Event()
-        site = read_site(gate.site)
-        place = Place(
+    def place(self) -> Place:
+        """Return where a node of this process stands."""
+        gate, site = self._gate, read_site(self._gate.site)
+        return Place(
             ros=parse_map(self._map(HERE / "map.yaml"), where="map"),
             run=gate.run,
             site=site,
             binding=given_binding(str(gate.binding), site),
             trust=lambda: read_trust(gate.trust),
         )
+
+    @contextmanager
+    def inside(self) -> Iterator[asyncio.AbstractEventLoop]:
+        """Yield the event loop of a node in a thread of this process."""
+        begun, over = Future[asyncio.AbstractEventLoop](), asyncio.Event()
+        place = self.place()
 
         async def live() -> None:
             async with mediating(place, Log()) as self.mediator:
@@ -436,7 +527,11 @@ class Graph:
     def _other(self, *order: int) -> subprocess.Popen[str]:
         """Start this module as a process, and wait until it is ready."""
         words = [sys.executable, "-m", "ros.graph", *map(str, (self.domain, *order))]
-        env = {**environment(measured=False), "PYTHONPATH": os.pathsep.join(sys.path)}
+        env = {
+            **environment(measured=False),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            "FASTDDS_DEFAULT_PROFILES_FILE": str(HERE / "short-lease.xml"),
+        }
         process = subprocess.Popen(
             words, stdout=subprocess.PIPE, text=True, env=env, cwd=scenarios.ROOT
         )
@@ -467,21 +562,45 @@ class Graph:
         self._errors.close()
 
     def said(self) -> str:
-        """Return what the node wrote to standard error."""
-        return (self.folder / "node.err").read_text()
+        """Return what the node wrote to standard error since `forget`."""
+        return (self.folder / "node.err").read_text()[self._said_before :]
+
+    @property
+    def is_alive(self) -> bool:
+        """True while the node runs as a process."""
+        return self.process is not None and self.process.poll() is None
+
+    def rest(self) -> None:
+        """End what the robot does, and the planners."""
+        self.robot.rest()
+        for planner in self.planners:
+            planner.close()
+            self._peers.remove(planner)
+        self.planners.clear()
+
+    def forget(self) -> None:
+        """Begin anew: nobody has said anything yet."""
+        self.robot.forget()
+        if self.process is not None:
+            self._said_before += len(self.said())
+
+    def end_node(self) -> None:
+        """End the node, if it was started and runs still."""
+        if self.process is None:
+            return
+        self.process.terminate()
+        try:
+            self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        self._errors.close()
 
     def end(self) -> None:
         """End everything that was started."""
-        if self.process is not None:
-            self.process.terminate()
-            try:
-                self.process.wait(PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-            if self.process.stdout is not None:
-                self.process.stdout.close()
-            self._errors.close()
+        self.end_node()
         for other in self._others:
             other.kill()
             other.wait()
@@ -500,12 +619,21 @@ def next_domain() -> int:
 def graph_of(folder: Path, gate: RunningGate) -> Iterator[Graph]:
     """Yield a graph with a robot in it; print at its end what its node and the gate said."""
     made = Graph(folder, gate, next_domain())
+    with shown(made, gate):
+        try:
+            yield made
+        finally:
+            made.end()
+
+
+@contextmanager
+def shown(graph: Graph, gate: RunningGate) -> Iterator[None]:
+    """Print at the end what a node and its gate said; pytest shows it when the test fails."""
     try:
-        yield made
+        yield
     finally:
-        made.end()
-        if made.process is not None:  # pytest shows it when the test fails
-            print(made.said())
+        if graph.process is not None:
+            print(graph.said())
             if gate.alive:
                 print([(one.kind, one.decision, one.reasons) for one in gate.news()[-20:]])
 

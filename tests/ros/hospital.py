@@ -33,6 +33,7 @@ GRANTS = (
         "rows": [IN_DOCK],
         "limits": {"gesture_no": [1, 20]},
         "max": "60 s",
+        **OFTEN,
     },
     {"id": "honk", "type": "announce", "tool": "speaker", "rows": [{}], **OFTEN},
     {
@@ -89,6 +90,23 @@ TOOLS = {
 }
 BESIDE = ("play_sound", "announce")
 BRAKES = {"brake_mm_s2": 1000, "reaction_ms": 20}
+
+
+#: What a map says beside what is mediated: what planners are shown, and that they write plans.
+SHOWN = """
+shown:
+  sign: {type: std_msgs/msg/String, private: /sign, public: /llm/sign, by: /robot, channel: ocr}
+  level: {type: std_msgs/msg/Float64, private: /level, public: /llm/level, by: /robot}
+  bytes: {type: std_msgs/msg/UInt8MultiArray, private: /bytes, public: /llm/bytes, by: /robot}
+proposals: {}
+"""
+
+
+def map_with_words(folder: Path) -> Path:
+    """Return the hospital's map, in which planners write plans and are shown what robots say."""
+    path = folder / "words.yaml"
+    path.write_text((HERE / "map.yaml").read_text() + SHOWN)
+    return path
 
 
 @contextmanager

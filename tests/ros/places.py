@@ -61,6 +61,7 @@ class Walker(Peer):
         self, domain: int, at: tuple[float, float] = DOCK, name: str = "localization"
     ) -> None:
         super().__init__(name, domain)
+        self._first = at
         self.at = at
         self.speed = (0.0, 0.0)
         self.said: float | None = None  # of its speed, whatever that is
@@ -75,6 +76,16 @@ class Walker(Peer):
     def start(self) -> None:
         """Make what it publishes with."""
         self._publisher = self.node.create_publisher(Odometry, "/odom", 10)
+
+    def forget(self) -> None:
+        """Stand where it stood at first, and say so; return once whoever listens knows of it."""
+        is_new = self.at != self._first or self.is_silent or self.bend is not None
+        self.speed, self.said = (0.0, 0.0), None
+        self.at = self._first
+        self.bend, self.is_silent = None, False
+        sent = self.sent
+        # a jump is not known yet when the last sound position is still fresh
+        until(lambda: not is_new or self.sent > sent + 25, "half a second of it")
 
     def now_ns(self) -> int:
         return time.monotonic_ns() + self.ahead_ns
@@ -187,6 +198,11 @@ class Running:
         """Return every whole line of it that is one of the log's."""
         whole, _, _ = self.said().rpartition("\n")
         return [json.loads(line) for line in whole.splitlines() if line.startswith("{")]
+
+    @property
+    def is_alive(self) -> bool:
+        """True while it runs."""
+        return self.process.poll() is None
 
     def events(self) -> list[str]:
         """Return what it said of the position: `sound`, or why not."""

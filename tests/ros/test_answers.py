@@ -26,10 +26,10 @@ from test_msgs.action import Fibonacci
 from unique_identifier_msgs.msg import UUID
 
 from authguard_r.ros.nodes.actions import BIND_S, MOST_ASKERS, RESULT_S, _Server
-from fixtures.gate_process import RunningGate, until
+from fixtures.gate_process import until
 from ros.graph import PATIENCE_S, Goal, Graph, Peer, Planner, graph_of, next_domain
 from ros.hospital import HERE, hospital
-from ros.test_mediation import asked, fibonacci, outcomes
+from ros.test_mediation import asked, outcomes
 
 SEND, RESULT = Fibonacci.Impl.SendGoalService, Fibonacci.Impl.GetResultService
 #: Whoever wants answers so is asked for, and hears none: nobody offers them so.
@@ -75,7 +75,7 @@ def new_id() -> UUID:
 
 def test_of_two_goals_of_one_id_the_second_is_rejected_and_nobody_does_it(graph: Graph) -> None:
     """`rclpy` knows an id only once its goal was taken: the robot would do what was rejected."""
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     raw, key = Raw(graph.planner()).seen(), new_id()
     arm.answers.clear()
     first = raw.goal(key)
@@ -93,7 +93,6 @@ def test_of_two_goals_of_one_id_the_second_is_rejected_and_nobody_does_it(graph:
     assert raw.goal(key, 7).result(PATIENCE_S).accepted
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rclpy's own logger
 def test_of_a_crowd_that_asks_for_a_result_the_first_are_told() -> None:
     """Each of them would be kept until the goal ends, and more could come than there is memory."""
     domain = next_domain()
@@ -129,7 +128,7 @@ def test_of_a_crowd_that_asks_for_a_result_the_first_are_told() -> None:
 
 def test_a_planner_that_cannot_take_answers_ends_nothing(graph: Graph) -> None:
     """DDS lets it ask, and waits a tenth of a second for it at each answer."""
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     peer = graph.planner("deaf")
     deaf = Raw(peer, qos=DEAF)
     horn = peer.node.create_client(
@@ -152,29 +151,26 @@ def test_a_planner_that_cannot_take_answers_ends_nothing(graph: Graph) -> None:
     assert graph.process.poll() is None
 
 
-def test_a_goal_whose_answer_comes_too_late_is_aborted_and_not_left_open(
-    tmp_path: Path, mortal: RunningGate
-) -> None:
-    with graph_of(tmp_path, mortal) as graph, graph.inside():
-        arm = graph.robot.arm
-        arm.answers.clear()
-        planner = graph.planner()
-        goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
-        until(lambda: arm.goals, "the goal")
-        # the planners' thread is at something else for longer than a goal waits for it
-        graph.mediator._inlets[0]._spinner.run(time.sleep, BIND_S + 1)
-        arm.answers.set()
-        until(lambda: arm.canceled == [True], "its end")
-        assert goal.accepted
-        assert goal.result().status == GoalStatus.STATUS_ABORTED
-
-
 def test_an_answer_that_is_too_long_is_withheld_and_that_it_was_done_is_not(graph: Graph) -> None:
-    graph.start()
     graph.robot.says = "x" * 200_000
     said = graph.planner().call(Trigger, "/llm/horn", Trigger.Request()).result(20)
     assert (said.success, said.message) == (True, "INPUT_TOO_LARGE")
     assert graph.robot.calls == ["horn"]
+
+
+def test_a_goal_whose_answer_comes_too_late_is_aborted_and_not_left_open(fresh: Graph) -> None:
+    with fresh.inside():
+        arm = fresh.robot.arm
+        arm.answers.clear()
+        planner = fresh.planner()
+        goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
+        until(lambda: arm.goals, "the goal")
+        # the planners' thread is at something else for longer than a goal waits for it
+        fresh.mediator._inlets[0]._spinner.run(time.sleep, BIND_S + 1)
+        arm.answers.set()
+        until(lambda: arm.canceled == [True], "its end")
+        assert goal.accepted
+        assert goal.result().status == GoalStatus.STATUS_ABORTED
 
 
 def test_a_call_that_another_of_the_same_meaning_carries_out_is_answered_as_it_was(
@@ -188,8 +184,8 @@ def test_a_call_that_another_of_the_same_meaning_carries_out_is_answered_as_it_w
     binding.write_text(json.dumps(plain))  # without aliases
     with hospital(binding) as gate, graph_of(tmp_path, gate) as graph:
         gate.mark()
-        graph.start()
-        said = graph.planner().call(Trigger, "/llm/hold", Trigger.Request()).result(20)
-        assert (said.success, said.message) == (True, "horn done")
-        assert graph.robot.calls == ["horn"]
-        until(lambda: outcomes(gate) == ["succeeded"], "the outcome")
+        with graph.inside():
+            said = graph.planner().call(Trigger, "/llm/hold", Trigger.Request()).result(20)
+            assert (said.success, said.message) == (True, "horn done")
+            assert graph.robot.calls == ["horn"]
+            until(lambda: outcomes(gate) == ["succeeded"], "the outcome")

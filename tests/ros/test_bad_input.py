@@ -22,10 +22,12 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_msgs.action import Fibonacci, NestedMessage
 
+from authguard_r.ros.nodes import mediator
 from fixtures.gate_process import RunningGate, until
 from ros.graph import Arm, Client, Goal, Graph, Peer, Planner, Stick
+from ros.hospital import map_with_words
 from ros.test_mediation import twist
-from ros.test_words import HORN, Writer, plan, speaking
+from ros.test_words import HORN, Writer, plan
 
 POSE = {"header": {"frame_id": "map"}, "pose": {"pose": {"position": {"x": 1.0, "y": 1.0}}}}
 
@@ -61,10 +63,13 @@ ELSEWHERE = {
 }
 
 
-def test_a_plan_for_what_is_not_this_robots_own_is_refused(
-    graph: Graph, gate: RunningGate, tmp_path: Path
-) -> None:
-    writer = Writer(speaking(graph, tmp_path).planner())
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return map_with_words(tmp_path_factory.mktemp("map"))
+
+
+def test_a_plan_for_what_is_not_this_robots_own_is_refused(graph: Graph, gate: RunningGate) -> None:
+    writer = Writer(graph.planner())
     for what, step in ELSEWHERE.items():
         text = json.dumps({"plan": [step]})
         writer.write(text)
@@ -84,7 +89,6 @@ def test_a_plan_for_what_is_not_this_robots_own_is_refused(
 
 def test_nobody_answers_for_another_robot_or_for_the_map(graph: Graph) -> None:
     """There is no way into the robot but the map's: whoever asks for one waits for ever."""
-    graph.start()
     planner = graph.planner()
     until(planner.client(Fibonacci, "/llm/fibonacci").server_is_ready, "the node")
     node = planner.node
@@ -125,13 +129,12 @@ BYTES = {
 
 def test_velocities_of_another_version_of_their_type_move_nothing(graph: Graph) -> None:
     """DDS matches types by their names alone, whatever a publisher was built with."""
-    graph.start()
     planner, another, base = graph.planner(), graph.planner("another"), graph.robot.base
     wheels = planner.publisher(Twist, "/llm/cmd_vel")
-    until(lambda: base.told, "the base is heard by")
+    until(lambda: base.heard, "the base is heard by")
     for name, data in BYTES.items():
-        del base.told[:], base.at_s[:]
-        until(lambda: base.told, "the base is heard by")
+        base.forget()
+        until(lambda: base.heard, "the base is heard by")
         for _ in range(3):
             wheels.publish(data)
         served(graph, another)
@@ -139,7 +142,6 @@ def test_velocities_of_another_version_of_their_type_move_nothing(graph: Graph) 
 
 
 def test_a_publisher_of_another_type_under_the_same_name_is_heard_by_nobody(graph: Graph) -> None:
-    graph.start()
     liar = graph.planner("liar")
     wheels = liar.node.create_publisher(String, "/llm/cmd_vel", 10)
     for _ in range(10):
@@ -155,7 +157,6 @@ def test_a_planner_of_another_type_of_an_action_or_a_service_is_heard_by_nobody(
 
     A request with the same fields under another type's name is matched by DDS, and is the same.
     """
-    graph.start()
     liar = graph.planner("liar")
     goals = Client(liar.node, NestedMessage, "/llm/fibonacci", callback_group=liar.group)
     calls = liar.node.create_client(SetBool, "/llm/horn", callback_group=liar.group)
@@ -169,23 +170,10 @@ def test_a_planner_of_another_type_of_an_action_or_a_service_is_heard_by_nobody(
     assert graph.robot.calls == ["horn"]
 
 
-def test_a_robots_server_of_another_type_is_no_server(graph: Graph) -> None:
-    graph.robot.close()
-    other = graph.add(Peer("other", graph.domain))
-    arm = Arm(other, NestedMessage, "/fibonacci")
-    graph.start()
-    assert "arm" in graph.missing
-    planner = graph.planner()
-    client = planner.client(Fibonacci, "/llm/fibonacci")
-    assert not Goal(planner, client, Fibonacci.Goal(order=3)).accepted
-    assert arm.goals == []
-
-
 def test_who_has_the_names_of_the_gates_nodes_is_a_planner_all_the_same(
     graph: Graph, gate: RunningGate
 ) -> None:
     """No decision rests on who somebody says that he is in the graph."""
-    graph.start()
     for name in ("gate", "gate_robot", "gate_planners", "robot"):
         spoofed = graph.planner(name)
         client = spoofed.client(Fibonacci, "/llm/fibonacci")
@@ -197,8 +185,8 @@ def test_who_has_the_names_of_the_gates_nodes_is_a_planner_all_the_same(
     served(graph, graph.planner("another"))
 
 
-def test_a_plan_is_served_after_all_of_it(graph: Graph, tmp_path: Path) -> None:
-    writer = Writer(speaking(graph, tmp_path).planner())
+def test_a_plan_is_served_after_all_of_it(graph: Graph) -> None:
+    writer = Writer(graph.planner())
     elsewhere = [json.dumps({"plan": [step]}) for step in ELSEWHERE.values()]
     writer.write(*elsewhere)
     for text in elsewhere:  # what waits is bounded: one more at once may be refused as too many
@@ -206,3 +194,18 @@ def test_a_plan_is_served_after_all_of_it(graph: Graph, tmp_path: Path) -> None:
     writer.write(plan(HORN))
     assert writer.over(plan(HORN))[-1]["news"] == "over"
     assert graph.robot.calls == ["horn"]
+
+
+def test_a_robots_server_of_another_type_is_no_server(
+    fresh: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mediator, "ROBOT_S", 2.0)  # nothing comes later
+    fresh.robot.close()
+    other = fresh.add(Peer("other", fresh.domain))
+    arm = Arm(other, NestedMessage, "/fibonacci")
+    with fresh.inside():
+        assert "arm" in fresh.mediator.body.missing
+        planner = fresh.planner()
+        client = planner.client(Fibonacci, "/llm/fibonacci")
+        assert not Goal(planner, client, Fibonacci.Goal(order=3)).accepted
+        assert arm.goals == []

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import signal
 import time
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 
@@ -20,66 +21,82 @@ from geometry_msgs.msg import Twist
 from test_msgs.action import Fibonacci
 
 from fixtures.gate_process import RunningGate, until
-from ros.deployed import FAULTS, TRANSPORT, guarded
-from ros.graph import Goal, Stick
+from ros.deployed import FAULTS, TRANSPORT, Guarded
+from ros.graph import Goal, Stick, graph_of
+from ros.shared_graph import SharedGate
 from ros.test_mediation import twist
 
 #: From a fault to a base that stands and a goal that is canceled, in seconds.
 SOON_S = 1.0
 
 
-@pytest.fixture(autouse=True)
-def _as_deployed(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in TRANSPORT.items():
-        monkeypatch.setenv(name, value)
+@pytest.fixture(scope="module")
+def deployed(gate: RunningGate, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+    """A robot with its relay, which outlives each test's node."""
+    with pytest.MonkeyPatch.context() as variables, ExitStack() as ending:
+        for name, value in TRANSPORT.items():
+            variables.setenv(name, value)
+        graph = ending.enter_context(graph_of(tmp_path_factory.mktemp("graph"), gate))
+        yield Guarded(graph, ending)
 
 
-@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
-def test_a_goal_of_a_node_that_does_not_live_is_canceled_by_the_dead_man(
-    tmp_path: Path, mortal: RunningGate, fault: signal.Signals
+@pytest.fixture
+def robot(deployed: Guarded, shared_gate: SharedGate) -> Iterator[Guarded]:
+    """The same with a node that lives; what became of it is dead after the test."""
+    shared_gate.renew()
+    deployed.begin()
+    shared_gate.mark()
+    deployed.graph.forget()
+    yield deployed
+    deployed.graph.signal(signal.SIGKILL)
+    print(deployed.graph.said())
+    deployed.graph.end_node()
+    deployed.graph.rest()
+
+
+def moves(robot: Guarded) -> Stick:
+    """Have a planner steer the base; return what with."""
+    stick = Stick(robot.graph.planner(), Twist, "/llm/cmd_vel")
+    stick.message = twist(0.2)
+    until(lambda: 0.2 in robot.wheels.speeds, "the velocity")
+    return stick
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param(fault, id=name, marks=[pytest.mark.smoke] if name == "killed" else [])
+        for name, fault in FAULTS.items()
+    ],
+)
+def test_a_node_that_does_not_live_moves_nothing_and_its_goal_is_canceled_by_the_dead_man(
+    robot: Guarded, fault: signal.Signals
 ) -> None:
-    with guarded(tmp_path, mortal) as it:
-        planner = it.graph.planner()
-        client = planner.client(Fibonacci, "/llm/fibonacci")
-        assert Goal(planner, client, Fibonacci.Goal(order=3)).accepted
-        begun = it.graph.signal(fault)
-        arm = it.graph.robot.arm
-        until(lambda: arm.canceled, "the cancellation")
-        assert arm.canceled_s - begun < SOON_S
-        it.deadman.says('"event": "canceled"')
-        it.graph.signal(signal.SIGKILL)
-
-
-@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
-def test_the_base_of_a_node_that_does_not_live_stands_whatever_its_planner_says(
-    tmp_path: Path, mortal: RunningGate, fault: signal.Signals
-) -> None:
-    with guarded(tmp_path, mortal) as it:
-        stick = Stick(it.graph.planner(), Twist, "/llm/cmd_vel")
-        stick.message = twist(0.2)
-        until(lambda: 0.2 in it.wheels.speeds, "the velocity")
-        begun = it.graph.signal(fault)
-        stood = it.stood_s(begun)
-        assert stood - begun < SOON_S
-        sent, told = stick.sent, len(it.wheels.told)
-        until(lambda: stick.sent > sent + 50, "a second of velocities")
-        assert set(it.wheels.speeds[told:]) <= {0.0}
-        it.graph.signal(signal.SIGKILL)
+    planner, chimes = robot.graph.planner(), robot.graph.robot.chimes
+    goal = Goal(planner, planner.client(Fibonacci, "/llm/chimes"), Fibonacci.Goal(order=3))
+    assert goal.accepted
+    stick = moves(robot)
+    begun = robot.graph.signal(fault)
+    stood = robot.stood_s(begun)
+    until(lambda: chimes.canceled, "the cancellation")
+    assert chimes.canceled_s - begun < SOON_S
+    assert stood - begun < SOON_S
+    robot.canceled()
+    sent, told = stick.sent, len(robot.wheels.heard)
+    until(lambda: stick.sent > sent + 50, "a second of velocities")
+    assert set(robot.wheels.speeds[told:]) <= {0.0}
 
 
 def test_a_node_that_wakes_up_moves_nothing_that_was_decided_before(
-    tmp_path: Path, mortal: RunningGate
+    robot: Guarded, gate: RunningGate
 ) -> None:
     """Its gate has given up the lease meanwhile, and it has dropped what it held itself."""
-    with guarded(tmp_path, mortal) as it:
-        stick = Stick(it.graph.planner(), Twist, "/llm/cmd_vel")
-        stick.message = twist(0.2)
-        until(lambda: 0.2 in it.wheels.speeds, "the velocity")
-        begun = it.graph.signal(signal.SIGSTOP)
-        it.stood_s(begun)
-        stick.message = None
-        told = len(it.wheels.told)
-        until(lambda: [r for r in mortal.news() if r.kind == "outcome"], "the gate's own end of it")
-        woke = it.graph.signal(signal.SIGCONT)
-        until(lambda: it.wheels.last_s > woke and time.monotonic() > woke + 1, "a second of life")
-        assert set(it.wheels.speeds[told:]) == {0.0}
+    stick = moves(robot)
+    begun = robot.graph.signal(signal.SIGSTOP)
+    robot.stood_s(begun)
+    stick.message = None
+    told = len(robot.wheels.heard)
+    until(lambda: [r for r in gate.news() if r.kind == "outcome"], "the gate's own end of it")
+    woke = robot.graph.signal(signal.SIGCONT)
+    until(lambda: robot.wheels.last_s > woke and time.monotonic() > woke + 1, "a second of life")
+    assert set(robot.wheels.speeds[told:]) == {0.0}

@@ -22,8 +22,8 @@ from fixtures.scenarios import ROOT
 EXAMPLE = ROOT / "examples" / "ros" / "map.yaml"
 
 
-def advice(path: Path, code: str) -> list[dict[str, str]]:
-    """Return what the doctor says of one thing."""
+def advice(path: Path) -> dict[str, list[dict[str, str]]]:
+    """Return what the doctor says, by its codes."""
     variables = environment(measured=True)
     variables.pop("RMW_IMPLEMENTATION", None)
     done = subprocess.run(
@@ -35,24 +35,25 @@ def advice(path: Path, code: str) -> list[dict[str, str]]:
         timeout=60,
     )
     assert done.returncode == 5, done.stderr  # nothing here is secured
-    found: list[dict[str, str]] = json.loads(done.stdout)["advice"]
-    return [item for item in found if item["code"] == code]
+    found: dict[str, list[dict[str, str]]] = {}
+    for item in json.loads(done.stdout)["advice"]:
+        found.setdefault(item["code"], []).append(item)
+    return found
 
 
-def test_types_that_are_installed_load() -> None:
-    (found,) = advice(EXAMPLE, "ROS_TYPE")
-    assert (found["level"], found["message"]) == ("ok", "all 5 of the map load")
+@pytest.mark.smoke
+def test_types_that_are_installed_load_and_the_wheels_middleware_has_no_security() -> None:
+    said = advice(EXAMPLE)
+    (types,) = said["ROS_TYPE"]
+    assert (types["level"], types["message"]) == ("ok", "all 5 of the map load")
+    (middleware,) = said["ROS_RMW"]
+    assert middleware["level"] == "unsafe"
+    assert Path(middleware["place"]).name == "librmw_fastrtps_shared_cpp.so"
 
 
 def test_a_type_that_is_not_installed_is_named_with_its_package(tmp_path: Path) -> None:
     path = tmp_path / "map.yaml"
     path.write_text(EXAMPLE.read_text().replace("std_srvs", "my_light", 1))
-    (found,) = advice(path, "ROS_TYPE")
+    (found,) = advice(path)["ROS_TYPE"]
     assert (found["level"], found["place"]) == ("unsafe", "mediated.light.type")
     assert found["mend"] == "apt install ros-$ROS_DISTRO-my-light"
-
-
-def test_the_wheels_middleware_is_known_to_have_no_security() -> None:
-    (found,) = advice(EXAMPLE, "ROS_RMW")
-    assert found["level"] == "unsafe"
-    assert Path(found["place"]).name == "librmw_fastrtps_shared_cpp.so"

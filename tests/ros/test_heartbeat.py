@@ -96,6 +96,7 @@ def unused() -> None:
     raise AssertionError("nothing lapsed")
 
 
+@pytest.mark.smoke
 def test_who_does_not_live_says_nothing_and_drops_its_leases_before_the_next_word(
     node: Node, spin: Callable[[Callable[[], bool]], None]
 ) -> None:
@@ -128,6 +129,7 @@ def test_a_closed_heartbeat_is_gone(node: Node, spin: Callable[[Callable[[], boo
     spin(lambda: "publisher_gone" in lost)
 
 
+@pytest.mark.smoke
 def test_a_loop_that_is_stuck_or_closed_does_not_turn() -> None:
     loop = asyncio.new_event_loop()
     watch = LoopWatch(loop)
@@ -158,6 +160,7 @@ def test_a_loop_that_was_closed_before_it_was_asked_does_not_turn() -> None:
     assert not watch()
 
 
+@pytest.mark.smoke
 def test_another_number_is_another_life_though_nobody_was_silent(
     node: Node, spin: Callable[[Callable[[], bool]], None], capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,7 +6,10 @@ Real nodes, a real gate. Source: issue 9, "Lifecycle". Spec page: docs/spec/ros.
 
 from __future__ import annotations
 
+import asyncio
 import shutil
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an environment)")
 
+import msgspec
 import yaml
 from action_msgs.msg import GoalStatus
 from lifecycle_msgs.msg import State, Transition
@@ -24,16 +28,21 @@ from rclpy.action import ActionClient
 from rosgraph_msgs.msg import Clock
 from test_msgs.action import Fibonacci
 
-from authguard_r.core.errors import EnvironmentFault
+from authguard_r.client.link import Log
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import read_trust
 from authguard_r.ros.map import parse_map
-from authguard_r.ros.nodes import process
+from authguard_r.ros.nodes import node, process
+from authguard_r.ros.nodes.mediator import Place, mediating
 from authguard_r.ros.nodes.process import require_bench, ros_context
+from authguard_r.tools.ends import first_of
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, until
 from ros.graph import PATIENCE_S, Goal, Graph, Planner, graph_of
-from ros.hospital import HERE
+from ros.hospital import HERE, SHOWN, hospital
+from ros.shared_graph import SharedGate, SharedGraph
 from unit.keys.chains import house
 
 NODE = "/authguard/gate"
@@ -47,29 +56,98 @@ class Manager:
     """
 
     def __init__(self, graph: Graph) -> None:
-        self._peer: Planner = graph.planner("manager")
+        self._peer: Planner = graph.add(Planner("manager", graph.domain))
+        kinds = {
+            "change_state": ChangeState,
+            "get_parameters": GetParameters,
+            "set_parameters": SetParameters,
+            "get_state": GetState,
+        }
+        make = self._peer.node.create_client
+        self._clients = {
+            name: make(kind, f"{NODE}/{name}", callback_group=self._peer.group)
+            for name, kind in kinds.items()
+        }
+        for name, client in self._clients.items():
+            until(client.service_is_ready, name, seconds=PATIENCE_S)
+        until(self._is_known, "an answer to the last of them", seconds=PATIENCE_S)
+
+    def _ask(self, name: str, request: Any, *, within_s: float = PATIENCE_S) -> Any:
+        return self._peer.ask(lambda: self._clients[name].call_async(request)).result(within_s)
+
+    def _is_known(self) -> bool:
+        """Return whether it is answered: DDS drops what comes before the node has found it."""
+        try:
+            return self._ask("get_state", GetState.Request(), within_s=1) is not None
+        except TimeoutError:
+            return False
 
     def state(self) -> int:
-        said = self._peer.call(GetState, f"{NODE}/get_state", GetState.Request())
-        number: int = said.result(PATIENCE_S).current_state.id
+        number: int = self._ask("get_state", GetState.Request()).current_state.id
         return number
 
     def to(self, transition: int) -> bool:
         """Ask for a transition; return whether it was carried out."""
         request = ChangeState.Request(transition=Transition(id=transition))
-        said = self._peer.call(ChangeState, f"{NODE}/change_state", request)
-        done: bool = said.result(60).success
+        done: bool = self._ask("change_state", request, within_s=60).success
         return done
 
+    def begin(self) -> None:
+        """Have it configured and active."""
+        assert self.to(Transition.TRANSITION_CONFIGURE)
+        assert self.to(Transition.TRANSITION_ACTIVATE)
+
+    def end(self) -> None:
+        """Have it unconfigured, whatever it is."""
+        if self.state() == State.PRIMARY_STATE_ACTIVE:
+            assert self.to(Transition.TRANSITION_DEACTIVATE)
+        if self.state() == State.PRIMARY_STATE_INACTIVE:
+            assert self.to(Transition.TRANSITION_CLEANUP)
+
     def get(self, *names: str) -> list[str]:
-        request = GetParameters.Request(names=list(names))
-        said = self._peer.call(GetParameters, f"{NODE}/get_parameters", request)
-        return [value.string_value for value in said.result(PATIENCE_S).values]
+        said = self._ask("get_parameters", GetParameters.Request(names=list(names)))
+        return [value.string_value for value in said.values]
 
     def set(self, name: str, value: ParameterValue) -> Any:
         request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-        said = self._peer.call(SetParameters, f"{NODE}/set_parameters", request)
-        return said.result(PATIENCE_S).results[0]
+        return self._ask("set_parameters", request).results[0]
+
+    def close(self) -> None:
+        self._peer.close()
+
+
+@pytest.fixture(scope="module")
+def files(gate: RunningGate, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """What the node reads anew each time that it is configured: the gate's own, in copies."""
+    folder = tmp_path_factory.mktemp("files")
+    made = {"site": folder / "site.yaml", "binding": folder / "binding.yaml"}
+    shutil.copy(gate.site, made["site"])
+    shutil.copy(gate.binding, made["binding"])
+    return made
+
+
+@pytest.fixture(scope="module")
+def shared_graph(
+    shared_gate: SharedGate, files: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[SharedGraph]:
+    """A graph whose node every test finds unconfigured."""
+
+    def start(graph: Graph) -> None:
+        graph.start(managed=True, **files)
+
+    folder = tmp_path_factory.mktemp("graph")
+    made = SharedGraph(shared_gate, folder, start, lambda _: True)
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def manager(graph: Graph) -> Iterator[Manager]:
+    made = Manager(graph)
+    yield made
+    if graph.is_alive:
+        made.end()
+    made.close()
 
 
 def goal(graph: Graph, order: int = 3, name: str = "planner") -> Goal:
@@ -90,9 +168,11 @@ def topics(planner: Planner) -> list[tuple[str, list[str]]]:
     ]
 
 
-def test_nothing_is_served_before_it_is_configured_and_active(graph: Graph) -> None:
-    graph.start(managed=True)
-    manager, planner = Manager(graph), graph.planner()
+@pytest.mark.smoke
+def test_nothing_is_served_before_it_is_configured_and_active(
+    graph: Graph, manager: Manager
+) -> None:
+    planner = graph.planner()
     assert manager.state() == State.PRIMARY_STATE_UNCONFIGURED
     assert not is_served(planner)
     assert manager.to(Transition.TRANSITION_CONFIGURE)
@@ -106,42 +186,38 @@ def test_nothing_is_served_before_it_is_configured_and_active(graph: Graph) -> N
     assert sent.result().status == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_what_runs_is_canceled_when_it_is_configured(graph: Graph) -> None:
+def test_what_runs_is_canceled_when_it_is_configured(graph: Graph, manager: Manager) -> None:
     """Somebody sent a goal past the node, before it was there."""
     stray = graph.planner("stray")
     client = stray.client(Fibonacci, "/fibonacci")
     running = Goal(stray, client, Fibonacci.Goal(order=9))
     assert running.accepted
-    graph.start(managed=True)
     assert graph.robot.arm.canceled == []
-    assert Manager(graph).to(Transition.TRANSITION_CONFIGURE)
+    assert manager.to(Transition.TRANSITION_CONFIGURE)
     assert graph.robot.arm.canceled == [True]
 
 
-def test_deactivating_stops_the_robot_and_tells_the_planner(graph: Graph) -> None:
-    graph.start(managed=True)
-    manager = Manager(graph)
-    assert manager.to(Transition.TRANSITION_CONFIGURE)
-    assert manager.to(Transition.TRANSITION_ACTIVATE)
+@pytest.mark.smoke
+def test_deactivating_stops_the_robot_and_tells_the_planner(graph: Graph, manager: Manager) -> None:
+    manager.begin()
     sent = goal(graph)
     assert sent.accepted
     result = graph.planners[-1].ask(sent.handle.get_result_async)
     assert manager.to(Transition.TRANSITION_DEACTIVATE)
     assert graph.robot.arm.canceled == [True]
     assert result.result(PATIENCE_S).status == GoalStatus.STATUS_ABORTED
-    until(lambda: not is_served(graph.planner("looks")), "it is served no more")
+    looks = graph.planner("looks")
+    until(lambda: not is_served(looks), "it is served no more")
     assert manager.to(Transition.TRANSITION_ACTIVATE)
     graph.robot.arm.end.set()
     assert goal(graph, name="again").accepted
 
 
 def test_nothing_runs_on_when_it_is_deactivated_under_a_planner_that_never_stops_asking(
-    graph: Graph,
+    graph: Graph, manager: Manager
 ) -> None:
-    graph.start(managed=True)
-    manager, arm = Manager(graph), graph.robot.arm
-    assert manager.to(Transition.TRANSITION_CONFIGURE)
-    assert manager.to(Transition.TRANSITION_ACTIVATE)
+    arm = graph.robot.arm
+    manager.begin()
     planner = graph.planner()
     client = planner.client(Fibonacci, "/llm/fibonacci")
     peer, asked = planner.node, []
@@ -157,6 +233,253 @@ def test_nothing_runs_on_when_it_is_deactivated_under_a_planner_that_never_stops
     more = len(asked) + 100
     until(lambda: len(asked) > more, "it goes on asking", seconds=PATIENCE_S)
     assert len(arm.goals) == taken
+
+
+def test_a_transition_that_its_state_has_not_changes_nothing(manager: Manager) -> None:
+    assert not manager.to(Transition.TRANSITION_ACTIVATE)
+    assert manager.state() == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_an_action_client_of_before_finds_a_node_that_was_configured_anew(
+    graph: Graph, manager: Manager
+) -> None:
+    planner = graph.planner()
+    client = ActionClient(planner.node, Fibonacci, "/llm/fibonacci", callback_group=planner.group)
+    manager.begin()
+    manager.end()
+    manager.begin()
+    until(client.server_is_ready, "the server", seconds=PATIENCE_S)
+    graph.robot.arm.end.set()
+    sent = Goal(planner, client, Fibonacci.Goal(order=3))
+    assert sent.accepted
+    assert sent.result().status == GoalStatus.STATUS_SUCCEEDED
+
+
+def changed(text: str, *path: str, to: Any) -> str:
+    """Return a file in YAML with another value somewhere."""
+    plain = yaml.safe_load(text)
+    *parents, last = path
+    at: Any = plain
+    for name in parents:
+        at = at[int(name) if isinstance(at, list) else name]
+    at[int(last) if isinstance(at, list) else last] = to
+    return yaml.safe_dump(plain)
+
+
+def with_siren(text: str, kind: str, type_: str) -> str:
+    """Return a map with a name that no way of the binding means."""
+    where = {"public": "/llm/siren", "private": "/siren", "by": "/robot"}
+    return changed(text, "mediated", f"{kind}-siren", to={"kind": kind, "type": type_, **where})
+
+
+def another_robots(text: str) -> str:
+    """Return the map of another robot of the site; the gate's certificate names the courier."""
+    horn = {"horn": yaml.safe_load(text)["mediated"]["horn"]}
+    return changed(changed(text, "mediated", to=horn), "robot", to=scenarios.OTHER)
+
+
+CUP = {"kind": "part", "home": "dock", "mass_g": 2, "names": ["cup"]}
+#: What is changed of which file, and what the node says of it.
+WRONG: dict[str, tuple[str, Callable[[str], str], tuple[str, ...]]] = {
+    # a goal would count as done that the gate waits for
+    "another `succeeds` than the gate's binding": (
+        "binding",
+        lambda t: changed(t, "tools", "call_service", "0", "succeeds", to={"success": False}),
+        ("SITE_MISMATCH", "welcome.binding"),
+    ),
+    # a zone with another bound, say: what the node rebuilds is held to the gate's
+    "another site than the gate's": (
+        "site",
+        lambda t: changed(t, "objects", "cup", to=CUP),
+        ("SITE_MISMATCH",),
+    ),
+    "another robot's map": ("map", another_robots, ("ROBOT_MISMATCH",)),
+    # what is mediated and cannot be decided would be a way that nobody signed for
+    "a service of no way (L16)": (
+        "map",
+        lambda t: with_siren(t, "service", "std_srvs/srv/Trigger"),
+        ("mediated.service-siren",),
+    ),
+    "an action of no way (L16)": (
+        "map",
+        lambda t: with_siren(t, "action", "test_msgs/action/Fibonacci"),
+        ("mediated.action-siren",),
+    ),
+    "a stream of no way (L16)": (
+        "map",
+        lambda t: with_siren(t, "stream", "geometry_msgs/msg/Twist"),
+        ("mediated.stream-siren",),
+    ),
+    "a channel that the site does not have": (
+        "map",
+        lambda t: t + SHOWN.replace("channel: ocr", "channel: rumor"),
+        ("map.shown.sign.channel",),
+    ),
+}
+
+
+@pytest.mark.smoke
+def test_l16_what_does_not_fit_the_gate_is_not_configured_and_is_said(
+    graph: Graph, manager: Manager, files: dict[str, Path]
+) -> None:
+    paths = {**files, "map": graph.folder / "map.yaml"}
+    for what, (name, change, words) in WRONG.items():
+        right = paths[name].read_text()
+        before = len(graph.said())
+        paths[name].write_text(change(right))
+        try:
+            assert not manager.to(Transition.TRANSITION_CONFIGURE), what
+        finally:
+            paths[name].write_text(right)
+        assert manager.state() == State.PRIMARY_STATE_UNCONFIGURED, what
+        said = graph.said()[before:]
+        assert all(word in said for word in words), (what, said)
+    # mended, without a new process
+    assert manager.to(Transition.TRANSITION_CONFIGURE)
+
+
+def test_parameters_tell_and_nobody_sets_one(manager: Manager) -> None:
+    manager.begin()
+    assert manager.get("robot", "security") == ["courier-1", "none"]
+    truth = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="other")
+    for name, value in (("use_sim_time", truth), ("robot", text), ("security", text)):
+        said = manager.set(name, value)
+        assert not said.successful, name
+        assert said.reason, name
+
+
+def test_a_clock_that_somebody_publishes_is_nobodys(graph: Graph, manager: Manager) -> None:
+    """It jumps back and stands: leases go by the monotonic clock, and a goal runs to its end."""
+    manager.begin()
+    liar = graph.planner("liar")
+    clock = liar.node.create_publisher(Clock, "/clock", 10)
+    sent = goal(graph)
+    assert sent.accepted
+    for seconds in (2_000_000_000, 5, 5):
+        message = Clock()
+        message.clock.sec = seconds
+        clock.publish(message)
+    graph.robot.arm.end.set()
+    assert sent.result().status == GoalStatus.STATUS_SUCCEEDED
+    assert clock.get_subscription_count() == 0
+
+
+def test_it_is_cleaned_up_configured_anew_and_shut_down(graph: Graph, manager: Manager) -> None:
+    for transition in (
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_CLEANUP,
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_ACTIVATE,
+    ):
+        assert manager.to(transition)
+    sent = goal(graph)
+    assert sent.accepted
+    assert manager.to(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert graph.robot.arm.canceled == [True]
+    assert graph.ended() == 0
+
+
+def test_a_node_whose_own_thread_ends_is_over_with_everything_that_it_serves(
+    graph: Graph, manager: Manager
+) -> None:
+    """`rclpy` ends it on a type of parameter that there is not."""
+    manager.begin()
+    sent = goal(graph)
+    assert sent.accepted
+    request = SetParameters.Request(
+        parameters=[Parameter(name="robot", value=ParameterValue(type=200))]
+    )
+    graph.planner("odd").call(SetParameters, f"{NODE}/set_parameters", request)
+    assert graph.ended() == 1
+    assert "does not spin" in graph.said()
+    assert "Traceback" not in graph.said()
+    assert graph.robot.arm.canceled == [True]
+
+
+# processes of a test's own
+
+
+def test_by_itself_it_ends_when_it_cannot_be_configured(fresh: Graph) -> None:
+    name, change, _ = WRONG["another `succeeds` than the gate's binding"]
+    assert name == "binding"
+    other = fresh.folder / "other.yaml"
+    other.write_text(change((HERE / "binding.yaml").read_text()))
+    fresh.launch(binding=other)
+    assert fresh.ended() == 1
+    assert "SITE_MISMATCH" in fresh.said()
+
+
+def test_a_node_that_is_still_being_configured_ends_when_it_is_told_to(
+    fresh: Graph, tmp_path: Path
+) -> None:
+    (tmp_path / "nobody").mkdir()
+    fresh.launch(run=tmp_path / "nobody")
+    names = fresh.planner("looks").node.get_node_names
+    until(lambda: "gate_robot" in names(), "the robot's side")
+    assert fresh.terminate() == 0
+    assert "Traceback" not in fresh.said()
+
+
+# without a process
+
+
+def refused(place: Place) -> AuthGuardError:
+    """Return why a node of this process is not configured."""
+
+    async def serve() -> None:
+        async with mediating(place, Log()):
+            pass
+
+    with pytest.raises((AuthGuardError, BaseExceptionGroup)) as failed:
+        asyncio.run(serve())
+    error = failed.value
+    found = error if isinstance(error, AuthGuardError) else first_of(error)
+    assert isinstance(found, AuthGuardError)
+    return found
+
+
+def test_a_gate_that_does_not_come_is_no_configuration(fresh: Graph, tmp_path: Path) -> None:
+    (tmp_path / "nobody").mkdir()
+    place = msgspec.structs.replace(fresh.place(), run=tmp_path / "nobody" / "there")
+    assert isinstance(refused(place), EnvironmentFault)
+
+
+def test_a_gate_whose_store_was_put_back_is_no_configuration(tmp_path: Path) -> None:
+    with hospital() as gate:
+        counter, copy = gate.folder / "other" / "counter", gate.folder / "copy.db"
+        counter.parent.mkdir()
+
+        def started() -> None:
+            assert gate.stop_process("gate") == 0
+            gate.start_gate("--counter", str(counter))
+
+        started()
+        shutil.copy(gate.store, copy)
+        with gate.client(ClientRole.PLANNER) as planner:
+            planner.propose(b"this is no plan")
+        started()  # its note has the refusal
+        assert gate.stop_process("gate") == 0
+        shutil.copy(copy, gate.store)
+        gate.start_gate("--counter", str(counter))
+        with graph_of(tmp_path, gate) as graph:
+            assert refused(graph.place()).reason is Reason.ROLLED_BACK
+
+
+def test_words_of_ros_are_none_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    right = ["--demo", *(f"--{name}=x" for name in ("map", "run", "site", "trust", "binding"))]
+    for words in (
+        ("--ros-args", "-p", "use_sim_time:=true"),
+        ("--ros-args", "-r", "/fibonacci:=/elsewhere"),
+        ("use_sim_time:=true",),
+    ):
+        monkeypatch.setattr(sys, "argv", ["node", *right, *words])
+        with pytest.raises(SystemExit) as ended:
+            node.main()
+        assert ended.value.code == 2, words
+        assert "unrecognized arguments" in capsys.readouterr().err, words
 
 
 def test_a_bench_is_no_place_for_a_root_in_earnest() -> None:
@@ -176,171 +499,6 @@ def test_a_bench_is_no_place_where_dds_security_is_spoken_of(
     require_bench(read_trust(scenarios.trust_folder()), demo=False)
 
 
-def test_it_is_cleaned_up_configured_anew_and_shut_down(graph: Graph) -> None:
-    graph.start(managed=True)
-    manager = Manager(graph)
-    for transition in (
-        Transition.TRANSITION_CONFIGURE,
-        Transition.TRANSITION_CLEANUP,
-        Transition.TRANSITION_CONFIGURE,
-        Transition.TRANSITION_ACTIVATE,
-    ):
-        assert manager.to(transition)
-    sent = goal(graph)
-    assert sent.accepted
-    assert manager.to(Transition.TRANSITION_ACTIVE_SHUTDOWN)
-    assert graph.robot.arm.canceled == [True]
-    assert graph.ended() == 0
-
-
-def test_a_transition_that_its_state_has_not_changes_nothing(graph: Graph) -> None:
-    graph.start(managed=True)
-    manager = Manager(graph)
-    assert not manager.to(Transition.TRANSITION_ACTIVATE)
-    assert manager.state() == State.PRIMARY_STATE_UNCONFIGURED
-
-
-def other_binding(graph: Graph) -> None:
-    """Another `succeeds` than the gate's: a goal would count as done that the gate waits for."""
-    plain = yaml.safe_load((HERE / "binding.yaml").read_text())
-    plain["tools"]["call_service"][0]["succeeds"] = {"success": False}
-    (graph.folder / "other.yaml").write_text(yaml.safe_dump(plain))
-
-
-def test_a_binding_that_is_not_the_gates_is_not_configured_and_says_so(graph: Graph) -> None:
-    other_binding(graph)
-    graph.start(managed=True, binding=graph.folder / "other.yaml")
-    manager = Manager(graph)
-    assert not manager.to(Transition.TRANSITION_CONFIGURE)
-    assert manager.state() == State.PRIMARY_STATE_UNCONFIGURED
-    assert "SITE_MISMATCH" in graph.said()
-    assert "welcome.binding" in graph.said()
-    # mended, without a new process
-    (graph.folder / "other.yaml").write_text((HERE / "binding.yaml").read_text())
-    assert manager.to(Transition.TRANSITION_CONFIGURE)
-
-
-def test_by_itself_it_ends_when_it_cannot_be_configured(graph: Graph) -> None:
-    other_binding(graph)
-    graph.launch(binding=graph.folder / "other.yaml")
-    assert graph.ended() == 1
-    assert "SITE_MISMATCH" in graph.said()
-
-
-def test_a_gate_whose_store_was_put_back_is_no_configuration(
-    tmp_path: Path, mortal: RunningGate
-) -> None:
-    counter, copy = mortal.folder / "other" / "counter", mortal.folder / "copy.db"
-    counter.parent.mkdir()
-
-    def started() -> None:
-        assert mortal.stop_process("gate") == 0
-        mortal.start_gate("--counter", str(counter))
-
-    started()
-    shutil.copy(mortal.store, copy)
-    with mortal.client(ClientRole.PLANNER) as planner:
-        planner.propose(b"this is no plan")
-    started()  # its note has the refusal
-    assert mortal.stop_process("gate") == 0
-    shutil.copy(copy, mortal.store)
-    mortal.start_gate("--counter", str(counter))
-    with graph_of(tmp_path, mortal) as graph:
-        graph.launch()
-        assert graph.ended() == 1
-        assert "ROLLED_BACK" in graph.said()
-
-
-def test_another_robots_gate_is_no_configuration(graph: Graph) -> None:
-    """Its certificate names the courier, the map another robot of the same site."""
-    plain = yaml.safe_load((HERE / "map.yaml").read_text())
-    horn = {"horn": plain["mediated"]["horn"]}
-    other = graph.folder / "other.yaml"
-    other.write_text(yaml.safe_dump({**plain, "robot": scenarios.OTHER, "mediated": horn}))
-    graph.launch(source=other)
-    assert graph.ended() == 1
-    assert "ROBOT_MISMATCH" in graph.said()
-
-
-def test_another_site_than_the_gates_is_no_configuration(graph: Graph, gate: RunningGate) -> None:
-    """A zone with another bound, say: what the node rebuilds is held to the gate's."""
-    plain = yaml.safe_load(gate.site.read_text())
-    plain["objects"]["cup"] = {"kind": "part", "home": "dock", "mass_g": 2, "names": ["cup"]}
-    other = graph.folder / "site.yaml"
-    other.write_text(yaml.safe_dump(plain))
-    graph.launch(site=other)
-    assert graph.ended() == 1
-    assert "SITE_MISMATCH" in graph.said()
-
-
-@pytest.mark.parametrize(
-    ("kind", "type_"),
-    [
-        ("service", "std_srvs/srv/Trigger"),
-        ("action", "test_msgs/action/Fibonacci"),
-        ("stream", "geometry_msgs/msg/Twist"),
-    ],
-)
-def test_l16_an_actuation_name_that_no_way_of_the_binding_means_is_no_configuration(
-    graph: Graph, kind: str, type_: str
-) -> None:
-    """What is mediated and cannot be decided would be a way that nobody signed for."""
-    plain = yaml.safe_load((HERE / "map.yaml").read_text())
-    where = {"public": "/llm/siren", "private": "/siren", "by": "/robot"}
-    plain["mediated"]["siren"] = {"kind": kind, "type": type_, **where}
-    other = graph.folder / "other.yaml"
-    other.write_text(yaml.safe_dump(plain))
-    graph.launch(source=other)
-    assert graph.ended() == 1
-    assert "siren" in graph.said()
-
-
-def test_a_gate_that_does_not_come_is_no_configuration(graph: Graph, tmp_path: Path) -> None:
-    (tmp_path / "nobody").mkdir()
-    graph.start(managed=True, run=tmp_path / "nobody" / "there")
-    assert not Manager(graph).to(Transition.TRANSITION_CONFIGURE)
-
-
-def test_parameters_tell_and_nobody_sets_one(graph: Graph) -> None:
-    graph.start()
-    manager = Manager(graph)
-    assert manager.get("robot", "security") == ["courier-1", "none"]
-    truth = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
-    text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="other")
-    for name, value in (("use_sim_time", truth), ("robot", text), ("security", text)):
-        said = manager.set(name, value)
-        assert not said.successful
-        assert said.reason
-
-
-def test_a_node_whose_own_thread_ends_is_over_with_everything_that_it_serves(
-    graph: Graph,
-) -> None:
-    """`rclpy` ends it on a type of parameter that there is not."""
-    graph.start()
-    sent = goal(graph)
-    assert sent.accepted
-    request = SetParameters.Request(
-        parameters=[Parameter(name="robot", value=ParameterValue(type=200))]
-    )
-    graph.planner("odd").call(SetParameters, f"{NODE}/set_parameters", request)
-    assert graph.ended() == 1
-    assert "does not spin" in graph.said()
-    assert "Traceback" not in graph.said()
-    assert graph.robot.arm.canceled == [True]
-
-
-def test_a_node_that_is_still_being_configured_ends_when_it_is_told_to(
-    graph: Graph, tmp_path: Path
-) -> None:
-    (tmp_path / "nobody").mkdir()
-    graph.launch(run=tmp_path / "nobody")
-    names = graph.planner("looks").node.get_node_names
-    until(lambda: "gate_robot" in names(), "the robot's side")
-    assert graph.terminate() == 0
-    assert "Traceback" not in graph.said()
-
-
 def test_a_middleware_that_keeps_to_no_keystore_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -350,53 +508,3 @@ def test_a_middleware_that_keeps_to_no_keystore_is_refused(
     monkeypatch.setattr(process, "get_rmw_implementation_identifier", lambda: "rmw_zenoh_cpp")
     with pytest.raises(EnvironmentFault, match="rmw_zenoh_cpp"), ros_context(ros, "/x"):
         pass
-
-
-def test_a_clock_that_somebody_publishes_is_nobodys(graph: Graph) -> None:
-    """It jumps back and stands: leases go by the monotonic clock, and a goal runs to its end."""
-    graph.start()
-    liar = graph.planner("liar")
-    clock = liar.node.create_publisher(Clock, "/clock", 10)
-    sent = goal(graph)
-    assert sent.accepted
-    for seconds in (2_000_000_000, 5, 5):
-        message = Clock()
-        message.clock.sec = seconds
-        clock.publish(message)
-    graph.robot.arm.end.set()
-    assert sent.result().status == GoalStatus.STATUS_SUCCEEDED
-    assert clock.get_subscription_count() == 0
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--ros-args", "-p", "use_sim_time:=true"),
-        ("--ros-args", "-r", "/fibonacci:=/elsewhere"),
-        ("use_sim_time:=true",),
-    ],
-)
-def test_words_of_ros_are_none_of_its_own(graph: Graph, words: tuple[str, ...]) -> None:
-    graph.launch(*words)
-    assert graph.ended() == 2
-    assert "unrecognized arguments" in graph.said()
-
-
-def test_an_action_client_of_before_finds_a_node_that_was_configured_anew(graph: Graph) -> None:
-    graph.start(managed=True)
-    manager, planner = Manager(graph), graph.planner()
-    client = ActionClient(planner.node, Fibonacci, "/llm/fibonacci", callback_group=planner.group)
-    for transition in (
-        Transition.TRANSITION_CONFIGURE,
-        Transition.TRANSITION_ACTIVATE,
-        Transition.TRANSITION_DEACTIVATE,
-        Transition.TRANSITION_CLEANUP,
-        Transition.TRANSITION_CONFIGURE,
-        Transition.TRANSITION_ACTIVATE,
-    ):
-        assert manager.to(transition)
-    until(client.server_is_ready, "the server", seconds=PATIENCE_S)
-    graph.robot.arm.end.set()
-    sent = Goal(planner, client, Fibonacci.Goal(order=3))
-    assert sent.accepted
-    assert sent.result().status == GoalStatus.STATUS_SUCCEEDED

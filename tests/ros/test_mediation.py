@@ -12,7 +12,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -28,17 +27,18 @@ from test_msgs.action import Fibonacci
 
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
+from authguard_r.ros.nodes import mediator
 from authguard_r.ros.nodes.actions import GONE_S
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, order, until
-from ros.graph import Arm, Goal, Graph, Peer, Stick, graph_of
+from ros.graph import Goal, Graph, Peer, Robot, Stick
 
 
+@pytest.mark.smoke
 def test_an_allowed_goal_is_the_robots_own_from_its_answer_to_its_result(graph: Graph) -> None:
     arm = graph.robot.arm
     arm.feedback = [Fibonacci.Feedback(sequence=[0]), Fibonacci.Feedback(sequence=[0, 1])]
     arm.result = Fibonacci.Result(sequence=[0, 1, 1])
-    graph.start()
     planner = graph.planner()
     goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
     assert goal.accepted
@@ -51,12 +51,6 @@ def test_an_allowed_goal_is_the_robots_own_from_its_answer_to_its_result(graph: 
     assert said.result == arm.result
 
 
-def fibonacci(graph: Graph) -> Arm:
-    """Start the node; return the robot's action server."""
-    graph.start()
-    return graph.robot.arm
-
-
 def asked(graph: Graph, order: int, name: str = "planner") -> Goal:
     planner = graph.planner(name)
     return Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=order))
@@ -66,8 +60,9 @@ def outcomes(gate: RunningGate) -> list[str]:
     return [one.decision for one in gate.news() if one.kind == "outcome"]
 
 
+@pytest.mark.smoke
 def test_a_goal_outside_its_grant_never_reaches_the_robot(graph: Graph, gate: RunningGate) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     assert not asked(graph, 21).accepted
     assert arm.goals == []
     until(lambda: gate.refusals("PARAMETER_OUT_OF_BOUNDS"), "the refusal's record")
@@ -76,17 +71,18 @@ def test_a_goal_outside_its_grant_never_reaches_the_robot(graph: Graph, gate: Ru
 def test_a_goal_that_the_robots_own_server_rejects_is_rejected(
     graph: Graph, gate: RunningGate
 ) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     arm.takes = False
     assert not asked(graph, 3).accepted
     assert len(arm.goals) == 1
     until(lambda: outcomes(gate) == ["not_started"], "the outcome")
 
 
+@pytest.mark.smoke
 def test_a_cancellation_is_forwarded_and_the_goal_ends_canceled(
     graph: Graph, gate: RunningGate
 ) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     goal = asked(graph, 3)
     assert goal.accepted
     assert goal.cancel().goals_canceling
@@ -99,7 +95,7 @@ def test_a_goal_that_the_robot_does_not_cancel_is_told_of_as_it_ends(
     graph: Graph, gate: RunningGate
 ) -> None:
     """The planner is not refused a cancellation; whether the goal yields is the robot's word."""
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     arm.yields = False
     goal = asked(graph, 3)
     assert goal.accepted
@@ -114,7 +110,7 @@ def test_a_goal_that_the_robot_does_not_cancel_is_told_of_as_it_ends(
 def test_a_goal_that_the_robot_aborts_is_aborted_with_its_result(
     graph: Graph, gate: RunningGate
 ) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     arm.abort, arm.result = True, Fibonacci.Result(sequence=[7])
     goal = asked(graph, 3)
     assert goal.accepted
@@ -126,7 +122,7 @@ def test_a_goal_that_the_robot_aborts_is_aborted_with_its_result(
 
 def test_a_result_is_kept_for_a_bounded_time(graph: Graph) -> None:
     """What ended is not held for ever for a planner that may never ask."""
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     goal = asked(graph, 3)
     assert goal.accepted
     arm.end.set()
@@ -138,7 +134,7 @@ def test_a_second_goal_is_rejected_while_one_runs_and_taken_after_it(
     graph: Graph, gate: RunningGate
 ) -> None:
     """Two planners: the one that comes second is told the truth."""
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     first = asked(graph, 3, "one")
     assert first.accepted
     assert not asked(graph, 4, "two").accepted
@@ -149,7 +145,7 @@ def test_a_second_goal_is_rejected_while_one_runs_and_taken_after_it(
 
 
 def test_a_goal_whose_planner_has_ended_is_called_off(graph: Graph, gate: RunningGate) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     planner = graph.planner()
     goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
     assert goal.accepted
@@ -163,8 +159,11 @@ def test_a_goal_whose_planner_has_ended_is_called_off(graph: Graph, gate: Runnin
 def test_a_planner_that_is_killed_in_mid_goal_leaves_nothing_that_runs(
     graph: Graph, gate: RunningGate
 ) -> None:
-    """It cannot say so itself: DDS takes it for gone once it was silent for twenty seconds."""
-    arm = fibonacci(graph)
+    """It cannot say so itself: DDS takes it for gone once it was silent for longer than its lease.
+
+    That is twenty seconds, and two in this test.
+    """
+    arm = graph.robot.arm
     planner = graph.planner_process(3)
     assert [one.order for one in arm.goals] == [3]
     planner.kill()
@@ -175,7 +174,7 @@ def test_a_planner_that_is_killed_in_mid_goal_leaves_nothing_that_runs(
 def test_a_goal_goes_on_while_its_planner_is_there_however_long_it_says_nothing(
     graph: Graph, gate: RunningGate
 ) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     goal = asked(graph, 3)
     assert goal.accepted
     ends = time.monotonic() + GONE_S + 1
@@ -185,9 +184,10 @@ def test_a_goal_goes_on_while_its_planner_is_there_however_long_it_says_nothing(
     assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
 
 
+@pytest.mark.smoke
 def test_a_goal_that_comes_past_the_gate_is_stopped(graph: Graph) -> None:
     """Without DDS security anybody reaches the robot's own server: it is seen, and canceled."""
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     assert asked(graph, 3).accepted
     stray = graph.planner("stray")
     running = Goal(stray, stray.client(Fibonacci, "/fibonacci"), Fibonacci.Goal(order=9))
@@ -197,8 +197,9 @@ def test_a_goal_that_comes_past_the_gate_is_stopped(graph: Graph) -> None:
     until(lambda: asked(graph, 4, "again").accepted, "it serves again")
 
 
+@pytest.mark.smoke
 def test_a_stop_cancels_the_goal_and_its_planner_is_told(graph: Graph, gate: RunningGate) -> None:
-    arm = fibonacci(graph)
+    arm = graph.robot.arm
     goal = asked(graph, 3)
     assert goal.accepted
     with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
@@ -207,8 +208,8 @@ def test_a_stop_cancels_the_goal_and_its_planner_is_told(graph: Graph, gate: Run
     assert goal.result().status == GoalStatus.STATUS_ABORTED
 
 
+@pytest.mark.smoke
 def test_a_service_that_is_granted_is_answered_by_the_robot(graph: Graph) -> None:
-    graph.start()
     planner = graph.planner()
     said = planner.call(Trigger, "/llm/horn", Trigger.Request()).result(20)
     assert (said.success, said.message) == (True, "horn done")
@@ -216,9 +217,9 @@ def test_a_service_that_is_granted_is_answered_by_the_robot(graph: Graph) -> Non
     assert graph.robot.calls == ["horn", "clear"]
 
 
+@pytest.mark.smoke
 def test_a_service_that_is_refused_says_why_where_it_has_a_word_for_no(graph: Graph) -> None:
     """And where it has none it is not answered: the robot never gave an answer."""
-    graph.start()
     planner = graph.planner()
     quiet = planner.call(Empty, "/llm/quiet", Empty.Request())
     said = planner.call(Trigger, "/llm/hold", Trigger.Request()).result(20)
@@ -229,8 +230,8 @@ def test_a_service_that_is_refused_says_why_where_it_has_a_word_for_no(graph: Gr
     assert graph.robot.calls == ["horn"]
 
 
+@pytest.mark.smoke
 def test_a_message_is_published_when_it_is_granted(graph: Graph, gate: RunningGate) -> None:
-    graph.start()
     publisher = graph.planner().publisher(UInt8, "/llm/lamp")
     for number in (9, 3):
         publisher.publish(UInt8(data=number))
@@ -245,11 +246,11 @@ def twist(x: float, turn: float = 0.0) -> Twist:
     return made
 
 
+@pytest.mark.smoke
 def test_velocities_are_one_lease_and_each_is_held_to_it(graph: Graph, gate: RunningGate) -> None:
     base = graph.robot.base
-    graph.start()
     stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
-    until(lambda: base.told, "the base is heard by")
+    until(lambda: base.heard, "the base is heard by")
     stick.message = twist(0.2, 0.1)
     until(lambda: 0.2 in base.speeds, "the velocity")
     stick.message = twist(0.1)
@@ -266,13 +267,13 @@ def test_velocities_are_one_lease_and_each_is_held_to_it(graph: Graph, gate: Run
     assert len([r for r in gate.news() if r.kind == "decision"]) == 1
 
 
+@pytest.mark.smoke
 def test_a_planner_of_velocities_that_falls_silent_stops_the_robot(
     graph: Graph, gate: RunningGate
 ) -> None:
     base = graph.robot.base
-    graph.start()
     stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
-    until(lambda: base.told, "the base is heard by")
+    until(lambda: base.heard, "the base is heard by")
     stick.message = twist(0.2)
     until(lambda: 0.2 in base.speeds, "the velocity")
     stick.message = None
@@ -283,9 +284,8 @@ def test_a_planner_of_velocities_that_falls_silent_stops_the_robot(
 def test_one_velocity_of_a_planner_that_then_dies_is_over_as_soon_as_any(graph: Graph) -> None:
     """The first of a stream counts as a sample, and so does the silence after it."""
     base = graph.robot.base
-    graph.start()
     publisher = graph.planner().publisher(Twist, "/llm/cmd_vel")
-    until(lambda: base.told, "the base is heard by")
+    until(lambda: base.heard, "the base is heard by")
     publisher.publish(twist(0.2))
     until(lambda: 0.2 in base.speeds, "the velocity")
     begun = time.monotonic()
@@ -296,7 +296,6 @@ def test_one_velocity_of_a_planner_that_then_dies_is_over_as_soon_as_any(graph: 
 
 def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate) -> None:
     base = graph.robot.base
-    graph.start()
     stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
     stick.message = twist(0.6)
     until(lambda: [r for r in gate.news() if r.kind == "decision"], "a decision")
@@ -305,19 +304,21 @@ def test_velocities_beyond_the_grant_never_begin(graph: Graph, gate: RunningGate
     assert len([r for r in gate.news() if r.kind == "decision"]) == 1  # not fifty a second
 
 
-@pytest.mark.parametrize("place", ["linear.z", "angular.x", "angular.y"])
+@pytest.mark.smoke
 def test_l16_a_velocity_along_an_axis_that_nobody_granted_never_begins(
-    graph: Graph, gate: RunningGate, place: str
+    graph: Graph, gate: RunningGate
 ) -> None:
     base = graph.robot.base
-    graph.start()
     stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
-    message, (part, axis) = twist(0.1), place.split(".")
-    setattr(getattr(message, part), axis, 0.1)
-    stick.message = message
-    until(lambda: gate.refusals("MALFORMED"), "the refusal")
-    until(lambda: stick.sent > 20, "more velocities")
-    assert set(base.speeds) == {0.0}
+    for part, axis in (("linear", "z"), ("angular", "x"), ("angular", "y")):
+        gate.mark()
+        message = twist(0.1)
+        setattr(getattr(message, part), axis, 0.1)
+        stick.message = message
+        until(lambda: gate.refusals("MALFORMED"), f"the refusal of {part}.{axis}")
+        sent = stick.sent
+        until(lambda sent=sent: stick.sent > sent + 20, "more velocities")
+        assert set(base.speeds) == {0.0}, f"{part}.{axis}"
 
 
 def revoked(gate: RunningGate) -> None:
@@ -341,81 +342,57 @@ ENDS: dict[str, Callable[[RunningGate], None]] = {
 
 @pytest.mark.parametrize("end", ENDS.values(), ids=ENDS)
 def test_velocities_end_with_what_allowed_them_whatever_their_planner_says(
-    tmp_path: Path, mortal: RunningGate, end: Callable[[RunningGate], None]
+    graph: Graph, gate: RunningGate, end: Callable[[RunningGate], None]
 ) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        base = graph.robot.base
-        graph.start()
-        stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
-        until(lambda: base.told, "the base is heard by")
-        stick.message = twist(0.2)
-        until(lambda: 0.2 in base.speeds, "the velocity")
-        end(mortal)
-        try:
-            until(lambda: base.speeds[-1] == 0.0, "zero")
-            stood, sent = len(base.speeds), stick.sent
-            until(lambda: stick.sent > sent + 100, "a hundred more")
-            assert not any(base.speeds[stood:])
-        finally:
-            if mortal.alive:
-                os.kill(mortal.pid, signal.SIGCONT)
-            else:
-                mortal.start_gate()
+    base = graph.robot.base
+    stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
+    until(lambda: base.heard, "the base is heard by")
+    stick.message = twist(0.2)
+    until(lambda: 0.2 in base.speeds, "the velocity")
+    end(gate)
+    try:
+        until(lambda: base.speeds[-1] == 0.0, "zero")
+        stood, sent = len(base.speeds), stick.sent
+        until(lambda: stick.sent > sent + 100, "a hundred more")
+        assert not any(base.speeds[stood:])
+    finally:
+        if gate.alive:
+            os.kill(gate.pid, signal.SIGCONT)
 
 
 def test_a_planner_that_floods_velocities_keeps_nobody_from_stopping_the_robot(
-    tmp_path: Path, mortal: RunningGate
+    graph: Graph, gate: RunningGate
 ) -> None:
     """Two thousand a second: what waits is bounded, and the node never counts as dead."""
-    with graph_of(tmp_path, mortal) as graph:
-        base, over = graph.robot.base, threading.Event()
-        graph.start()
-        publisher = graph.planner().publisher(Twist, "/llm/cmd_vel")
+    base, over = graph.robot.base, threading.Event()
+    publisher = graph.planner().publisher(Twist, "/llm/cmd_vel")
 
-        def flood() -> None:
-            while not over.is_set():
-                for _ in range(20):
-                    publisher.publish(twist(0.2))
-                time.sleep(0.01)
+    def flood() -> None:
+        while not over.is_set():
+            for _ in range(20):
+                publisher.publish(twist(0.2))
+            time.sleep(0.01)
 
-        flooding = threading.Thread(target=flood, daemon=True)
-        flooding.start()
-        try:
-            until(lambda: 0.2 in base.speeds, "the velocity")
-            time.sleep(1)  # so that a queue without a bound would be long
-            with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
-                begun = time.monotonic()
-                assert lane.stop()["stopped"] is True
-            until(lambda: base.speeds[-1] == 0.0 and base.last_s > begun, "zero", seconds=2)
-        finally:
-            over.set()
-            flooding.join()
-        assert "lapsed" not in graph.said()
-
-
-def test_a_loop_that_is_stuck_says_zero_once_and_then_nothing(
-    tmp_path: Path, mortal: RunningGate
-) -> None:
-    """The thread of ROS spins on: it must not repeat a velocity that nobody holds any more."""
-    with graph_of(tmp_path, mortal) as graph, graph.inside() as loop:
-        base, stuck = graph.robot.base, threading.Event()
-        stick = Stick(graph.planner(), Twist, "/llm/cmd_vel")
-        until(lambda: base.told, "the base is heard by")
-        stick.message = twist(0.2)
+    flooding = threading.Thread(target=flood, daemon=True)
+    flooding.start()
+    try:
         until(lambda: 0.2 in base.speeds, "the velocity")
-        loop.call_soon_threadsafe(stuck.wait, 20)
-        until(lambda: base.speeds[-1] == 0.0, "zero")
-        until(lambda: time.monotonic() - base.last_s > 0.5, "silence")
-        assert base.speeds[-2:] == [0.2, 0.0]
-        stuck.set()
+        time.sleep(1)  # so that a queue without a bound would be long
+        with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
+            begun = time.monotonic()
+            assert lane.stop()["stopped"] is True
+        until(lambda: base.speeds[-1] == 0.0 and base.last_s > begun, "zero", seconds=2)
+    finally:
+        over.set()
+        flooding.join()
+    assert "lapsed" not in graph.said()
 
 
 def test_of_two_planners_of_velocities_one_steers(graph: Graph, gate: RunningGate) -> None:
     base = graph.robot.base
-    graph.start()
     one = Stick(graph.planner("one"), Twist, "/llm/cmd_vel")
     two = Stick(graph.planner("two"), Twist, "/llm/cmd_vel")
-    until(lambda: base.told, "the base is heard by")
+    until(lambda: base.heard, "the base is heard by")
     one.message = twist(0.2)
     until(lambda: 0.2 in base.speeds, "the velocity")
     two.message = twist(0.1)
@@ -428,143 +405,156 @@ def test_of_two_planners_of_velocities_one_steers(graph: Graph, gate: RunningGat
 
 
 def test_a_node_that_was_killed_cancels_what_runs_before_it_serves_again(
-    tmp_path: Path, mortal: RunningGate
+    graph: Graph, gate: RunningGate
 ) -> None:
     """Nobody knows what became of its goal: a person has to say, before anything begins."""
-    with graph_of(tmp_path, mortal) as graph:
-        arm = fibonacci(graph)
-        assert asked(graph, 3).accepted
-        graph.kill()
-        graph.start()
-        assert arm.canceled == [True]
-        assert not asked(graph, 4, "another").accepted
-        until(lambda: mortal.refusals("MISSION_SUSPENDED"), "the refusal")
+    arm = graph.robot.arm
+    assert asked(graph, 3).accepted
+    graph.kill()
+    graph.start()
+    assert arm.canceled == [True]
+    assert not asked(graph, 4, "another").accepted
+    until(lambda: gate.refusals("MISSION_SUSPENDED"), "the refusal")
 
 
 def test_a_robot_that_leaves_its_regions_is_stopped_in_mid_goal(
-    tmp_path: Path, mortal: RunningGate
+    graph: Graph, gate: RunningGate
 ) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        arm = fibonacci(graph)
-        goal = asked(graph, 3)
-        assert goal.accepted
-        assert mortal.move is not None
-        mortal.move("public-corridor")
-        assert goal.result().status == GoalStatus.STATUS_ABORTED
-        assert arm.canceled == [True]
-        until(lambda: outcomes(mortal) == ["aborted"], "the outcome")
+    arm = graph.robot.arm
+    goal = asked(graph, 3)
+    assert goal.accepted
+    assert gate.move is not None
+    gate.move("public-corridor")
+    assert goal.result().status == GoalStatus.STATUS_ABORTED
+    assert arm.canceled == [True]
+    until(lambda: outcomes(gate) == ["aborted"], "the outcome")
 
 
+@pytest.mark.smoke
 def test_a_gate_that_is_killed_leaves_a_robot_whose_goal_is_canceled(
-    tmp_path: Path, mortal: RunningGate
+    graph: Graph, gate: RunningGate
 ) -> None:
     """The controller's end is its dead man; and no word is told that nobody noted."""
-    with graph_of(tmp_path, mortal) as graph:
-        arm = fibonacci(graph)
-        goal = asked(graph, 3)
-        assert goal.accepted
-        arm.result = Fibonacci.Result(sequence=[7])
-        mortal.kill9()
-        said = goal.result()
-        assert (said.status, said.result) == (GoalStatus.STATUS_ABORTED, Fibonacci.Result())
-        assert arm.canceled == [True]
-        assert not asked(graph, 4, "another").accepted
-        mortal.start_gate()
+    arm = graph.robot.arm
+    goal = asked(graph, 3)
+    assert goal.accepted
+    arm.result = Fibonacci.Result(sequence=[7])
+    gate.kill9()
+    said = goal.result()
+    assert (said.status, said.result) == (GoalStatus.STATUS_ABORTED, Fibonacci.Result())
+    assert arm.canceled == [True]
+    assert not asked(graph, 4, "another").accepted
 
 
-def test_a_node_that_is_ended_cancels_what_runs(tmp_path: Path, mortal: RunningGate) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        arm = fibonacci(graph)
-        assert asked(graph, 3).accepted
-        assert graph.terminate() == 0
-        assert arm.canceled == [True]
-        until(lambda: outcomes(mortal) == ["aborted"], "the outcome")
-
-
-def test_a_server_that_the_graph_hides_is_told_to_cancel_all_the_same(
-    tmp_path: Path, mortal: RunningGate
-) -> None:
-    """Whoever may write to the graph can claim half of a server, and it counts as away."""
-    with graph_of(tmp_path, mortal) as graph, graph.inside():
-        arm = graph.robot.arm
-        assert asked(graph, 3).accepted
-        outlet: Any = graph.mediator.body.outlets["arm"]
-        outlet._canceler.service_is_ready = lambda: False  # what the graph says from now on
-        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
-            assert lane.stop()["stopped"] is True
-        assert arm.canceled == [True]
-        assert "arm" in graph.mediator.body.missing  # nothing begins there
+def test_a_node_that_is_ended_cancels_what_runs(graph: Graph, gate: RunningGate) -> None:
+    arm = graph.robot.arm
+    assert asked(graph, 3).accepted
+    assert graph.terminate() == 0
+    assert arm.canceled == [True]
+    until(lambda: outcomes(gate) == ["aborted"], "the outcome")
 
 
 def test_a_robot_that_refuses_to_cancel_does_not_stand_and_is_asked_until_it_yields(
-    tmp_path: Path, mortal: RunningGate
+    graph: Graph, gate: RunningGate
 ) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        arm = fibonacci(graph)
-        arm.yields = False
-        goal = asked(graph, 3)
-        assert goal.accepted
-        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
-            assert lane.stop()["stopped"] is False
-            until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
-            assert goal.result().status == GoalStatus.STATUS_ABORTED
-            assert not asked(graph, 4, "another").accepted
-            asked_before = arm.asked_to_cancel
-            until(lambda: arm.asked_to_cancel > asked_before, "its being asked again")
-            assert arm.canceled == []
-            arm.yields = True
-            until(lambda: lane.stop()["stopped"], "its word")
-        assert arm.canceled == [True]
-        assert [one.order for one in arm.goals] == [3]
+    arm = graph.robot.arm
+    arm.yields = False
+    goal = asked(graph, 3)
+    assert goal.accepted
+    with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
+        assert lane.stop()["stopped"] is False
+        until(lambda: outcomes(gate) == ["unknown"], "the outcome")
+        assert goal.result().status == GoalStatus.STATUS_ABORTED
+        assert not asked(graph, 4, "another").accepted
+        asked_before = arm.asked_to_cancel
+        until(lambda: arm.asked_to_cancel > asked_before, "its being asked again")
+        assert arm.canceled == []
+        arm.yields = True
+        until(lambda: lane.stop()["stopped"], "its word")
+    assert arm.canceled == [True]
+    assert [one.order for one in arm.goals] == [3]
 
 
 def test_a_robot_that_does_not_say_whether_it_takes_a_goal_is_stopped(
-    tmp_path: Path, mortal: RunningGate
+    graph: Graph, gate: RunningGate
 ) -> None:
     """Its planner is told no, the log that nobody knows; a yes that comes too late is canceled."""
-    with graph_of(tmp_path, mortal) as graph:
-        arm = fibonacci(graph)
-        arm.answers.clear()
-        assert not asked(graph, 3).accepted
-        until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
-        arm.answers.set()
-        until(lambda: arm.canceled == [True], "the cancellation")
+    arm = graph.robot.arm
+    arm.answers.clear()
+    assert not asked(graph, 3).accepted
+    until(lambda: outcomes(gate) == ["unknown"], "the outcome")
+    arm.answers.set()
+    until(lambda: arm.canceled == [True], "the cancellation")
+
+
+# with a robot or an event loop of the test's own
+
+
+def test_a_loop_that_is_stuck_says_zero_once_and_then_nothing(fresh: Graph) -> None:
+    """The thread of ROS spins on: it must not repeat a velocity that nobody holds any more."""
+    with fresh.inside() as loop:
+        base, stuck = fresh.robot.base, threading.Event()
+        stick = Stick(fresh.planner(), Twist, "/llm/cmd_vel")
+        until(lambda: base.heard, "the base is heard by")
+        stick.message = twist(0.2)
+        until(lambda: 0.2 in base.speeds, "the velocity")
+        loop.call_soon_threadsafe(stuck.wait, 20)
+        until(lambda: base.speeds[-1] == 0.0, "zero")
+        until(lambda: time.monotonic() - base.last_s > 0.5, "silence")
+        assert base.speeds[-2:] == [0.2, 0.0]
+        stuck.set()
+
+
+def test_a_server_that_the_graph_hides_is_told_to_cancel_all_the_same(
+    fresh: Graph, gate: RunningGate
+) -> None:
+    """Whoever may write to the graph can claim half of a server, and it counts as away."""
+    with fresh.inside():
+        arm = fresh.robot.arm
+        assert asked(fresh, 3).accepted
+        outlet: Any = fresh.mediator.body.outlets["arm"]
+        outlet._canceler.service_is_ready = lambda: False  # what the graph says from now on
+        with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
+            assert lane.stop()["stopped"] is True
+        assert arm.canceled == [True]
+        assert "arm" in fresh.mediator.body.missing  # nothing begins there
 
 
 def test_a_robot_that_is_gone_in_mid_goal_counts_as_standing_only_when_it_says_so(
-    tmp_path: Path, mortal: RunningGate
+    fresh: Graph, gate: RunningGate
 ) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        robot = graph.robot_process()
-        graph.start()
-        goal = asked(graph, 3)
+    robot = fresh.robot_process()
+    with fresh.inside():
+        goal = asked(fresh, 3)
         assert goal.accepted
         robot.kill()
         robot.wait()
-        with GateClient.connect(mortal.stop_socket, role=ClientRole.PLANNER) as lane:
+        with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
             assert lane.stop()["stopped"] is False
             assert goal.result().status == GoalStatus.STATUS_ABORTED
-            until(lambda: outcomes(mortal) == ["unknown"], "the outcome")
-            graph.robot_process()
+            until(lambda: outcomes(gate) == ["unknown"], "the outcome")
+            fresh.add(Robot(fresh.domain))
             until(lambda: lane.stop()["stopped"], "its word")
 
 
 def test_a_server_that_comes_or_comes_back_is_told_to_cancel_whatever_it_runs(
-    tmp_path: Path, mortal: RunningGate
+    fresh: Graph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody knows what it was given while it was not seen: by a node of before, or by anybody."""
-    with graph_of(tmp_path, mortal) as graph:
-        graph.robot.close()
-        graph.start()
-        assert "arm" in graph.missing
+    monkeypatch.setattr(mediator, "ROBOT_S", 0.5)  # nothing comes later
+    fresh.robot.close()
+    with fresh.inside():
+        assert "arm" in fresh.mediator.body.missing
         asked: list[Any] = []
 
         def cancels(request: Any, answer: Any) -> Any:
             asked.append(request.goal_info)
             return answer
 
+        outlet: Any = fresh.mediator.body.outlets["arm"]
         for life in ("one", "another"):
-            robot = graph.add(Peer(life, graph.domain))
+            until(lambda: not outlet._is_settled, "the node knows that no server is there")
+            robot = fresh.add(Peer(life, fresh.domain))
             robot.node.create_service(
                 CancelGoal, "/fibonacci/_action/cancel_goal", cancels, callback_group=robot.group
             )

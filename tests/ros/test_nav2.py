@@ -24,8 +24,9 @@ from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPo
 
 from fixtures.gate_process import RunningGate, until
 from fixtures.packaged_robots import gate_of
-from ros.graph import Arm, Goal, Graph, Planner, graph_of
+from ros.graph import Arm, Goal, Graph, Planner, graph_of, shown
 from ros.hospital import BUDGETS, GO, HERE, ISOLATION, PHARMACY
+from ros.shared_graph import SharedGate
 
 
 @pytest.fixture(scope="module")
@@ -60,15 +61,29 @@ class Nav2:
         """Return every goal that reached the robot."""
         return [*self.to_pose.goals, *self.through.goals, *self.waypoints.goals]
 
+    def forget(self) -> None:
+        """Begin anew: no goal has reached the robot."""
+        for arm in (self.to_pose, self.through, self.waypoints):
+            arm.rest()
+            arm.forget()
+
     def ask(self, kind: Any, goal: Any) -> Goal:
         return Goal(self._planner, self._clients[kind], goal)
 
 
-@pytest.fixture
-def nav2(tmp_path: Path, gate: RunningGate) -> Iterator[Nav2]:
-    gate.mark()
-    with graph_of(tmp_path, gate) as graph:
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory, gate: RunningGate) -> Iterator[Nav2]:
+    with graph_of(tmp_path_factory.mktemp("graph"), gate) as graph:
         yield Nav2(graph)
+
+
+@pytest.fixture
+def nav2(started: Nav2, gate: RunningGate, shared_gate: SharedGate) -> Iterator[Nav2]:
+    shared_gate.renew()
+    shared_gate.mark()
+    with shown(started.graph, gate):
+        yield started
+        started.forget()
 
 
 def pose(at: tuple[float, float] = PHARMACY, frame: str = "main", **more: float) -> PoseStamped:
@@ -142,6 +157,7 @@ REFUSED: list[tuple[str, Any, Any, str]] = [
 ]
 
 
+@pytest.mark.smoke
 def test_l3_l16_a_hijacked_or_broken_goal_is_refused_and_never_reaches_the_robot(
     nav2: Nav2, gate: RunningGate
 ) -> None:

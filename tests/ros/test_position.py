@@ -11,9 +11,10 @@ import asyncio
 import math
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -42,6 +43,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.envelope import seal
 from authguard_r.ros.map import parse_map
+from authguard_r.ros.nodes import estimator
 from authguard_r.ros.nodes.estimator import Estimate
 from authguard_r.ros.nodes.heartbeat import ALL
 from authguard_r.ros.nodes.heartbeat import Told as Without
@@ -56,7 +58,7 @@ from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, Told, order, until
 from fixtures.packaged_robots import gate_of
-from ros.graph import Arm, Goal, Graph, Peer, graph_of, next_domain
+from ros.graph import Arm, Goal, Graph, Peer, graph_of, next_domain, shown
 from ros.hospital import BUDGETS, GO, HERE
 from ros.places import (
     Running,
@@ -70,31 +72,116 @@ from ros.places import (
     until_heard,
     until_silent,
 )
+from ros.shared_graph import SharedGate
 from ros.test_nav2 import to
 
 PLAIN = {"budgets": BUDGETS, "guards": []}
 
 
-@contextmanager
-def hospital(**more: Any) -> Iterator[RunningGate]:
-    """Yield a gate whose state somebody else attests."""
+@pytest.fixture(scope="module")
+def gate() -> Iterator[RunningGate]:
+    """A gate whose state somebody else attests."""
     folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
-    given = {"grants": [GO], "changes": PLAIN, "fold_ms": 0, **more}
-    with gate_of(folder, "nav2", is_attested=False, **given) as made, sensing(made):
+    with (
+        gate_of(folder, "nav2", grants=[GO], changes=PLAIN, is_attested=False, fold_ms=0) as made,
+        sensing(made),
+    ):
         yield made
 
 
-class Course:
-    """A planner, the node, Nav2's servers, and a robot that says where it is."""
+@pytest.fixture(scope="module")
+def shared_gate(gate: RunningGate) -> SharedGate:
+    return SharedGate(gate, is_attested=False)
 
-    def __init__(self, graph: Graph, gate: RunningGate, walker: Walker) -> None:
-        self.graph, self.gate, self.walker = graph, gate, walker
-        self.arm = Arm(graph.robot, NavigateToPose, "/navigate_to_pose")
-        Arm(graph.robot, NavigateThroughPoses, "/navigate_through_poses")
-        Arm(graph.robot, FollowWaypoints, "/follow_waypoints")
-        graph.start(HERE / "nav2-map.yaml")
-        self._planner = graph.planner()
+
+class Place:
+    """A robot that says where it is, its estimator, and the gate that this attests to.
+
+    One for all tests of a module: what a test killed or moved is put right before the next one.
+    """
+
+    def __init__(self, gate: RunningGate, graph: Graph) -> None:
+        self.gate, self.graph = gate, graph
+        self._auditor: Any = None
+        self._kind: type[Walker] | None = None
+        self._ending = ExitStack()
+        self.walker: Walker
+        self.estimator: Running
+
+    def renew(self, kind: type[Walker] = Walker) -> None:
+        """Have a robot in the dock that says so, and an estimator that attests it."""
+        if self._kind is not kind or not self.estimator.is_alive:
+            self.end()
+            self._kind = kind
+            self.walker = kind(self.graph.domain)
+            self._ending.callback(self.walker.close)
+            position = {"odometry": "/odom"} if kind is Walker else {}
+            text = map_with(self.graph.domain, **position)
+            running = estimating(self.graph.folder, self.gate, text)
+            self.estimator = self._ending.enter_context(running)
+            self._auditor = self.gate.client(ClientRole.AUDITOR, "listens")
+        self.walker.forget()
+        self.sound()
+
+    def end(self) -> None:
+        self._ending.close()
+        self._kind = None
+
+    def sound(self) -> None:
+        """Wait until it attests."""
+        until_heard(self.gate, self._auditor)
+        until(lambda: self.estimator.events()[-1] == "sound", "its word", seconds=20)
+
+    def doubtful(self, why: str, ms: int = 1_500) -> None:
+        """Wait until it attests nothing for longer than a doubt alone lasts, and says why."""
+        until_silent(self.gate, self._auditor, ms)
+        until(lambda: self.estimator.events()[-1] == why, why, seconds=20)
+
+
+@pytest.fixture(scope="module")
+def place(gate: RunningGate, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with graph_of(tmp_path_factory.mktemp("graph"), gate) as graph:
+        made = Place(gate, graph)
+        yield made
+        made.end()
+
+
+@pytest.fixture
+def bench(place: Place, gate: RunningGate) -> Iterator[Place]:
+    """A place, whatever its robot does."""
+    place.renew()
+    gate.mark()
+    with shown(place.graph, gate):
+        yield place
+        print(place.estimator.said()[-2_000:])
+
+
+class Course:
+    """A place, Nav2's servers there, and the node between them and a planner."""
+
+    def __init__(self, place: Place) -> None:
+        self.place, self.graph, self.gate = place, place.graph, place.gate
+        self.arm = Arm(self.graph.robot, NavigateToPose, "/navigate_to_pose")
+        Arm(self.graph.robot, NavigateThroughPoses, "/navigate_through_poses")
+        Arm(self.graph.robot, FollowWaypoints, "/follow_waypoints")
+        self.graph.start(HERE / "nav2-map.yaml")
+
+    def renew(self, kind: type[Walker] = Walker) -> None:
+        """Have a robot that stands in the dock, and was told nothing."""
+        self.arm.rest()
+        self.place.renew(kind)
+        self.arm.forget()
+        self.graph.forget()
+        self._planner = self.graph.planner()
         self._client = self._planner.client(NavigateToPose, "/llm/navigate_to_pose")
+
+    @property
+    def walker(self) -> Walker:
+        return self.place.walker
+
+    @property
+    def estimator(self) -> Running:
+        return self.place.estimator
 
     def go(self) -> Goal:
         """Ask for the way to the pharmacy."""
@@ -115,17 +202,33 @@ def aborted(gate: RunningGate, *reasons: str) -> Told:
     return record
 
 
-@contextmanager
-def course(
-    folder: Path, gate: RunningGate, kind: type[Walker] = Walker, **position: Any
-) -> Iterator[tuple[Course, Running]]:
-    gate.mark()
-    if kind is Walker:
-        position = {"odometry": "/odom", **position}
-    with graph_of(folder, gate) as graph:
-        walker = graph.add(kind(graph.domain))
-        with estimating(folder, gate, map_with(graph.domain, **position)) as estimator:
-            yield Course(graph, gate, walker), estimator
+@pytest.fixture(scope="module")
+def started(place: Place) -> Course:
+    return Course(place)
+
+
+@pytest.fixture(scope="module")
+def kind() -> type[Walker]:
+    """How the robot says where it is."""
+    return Walker
+
+
+@pytest.fixture
+def course(started: Course, shared_gate: SharedGate, kind: type[Walker]) -> Iterator[Course]:
+    """A robot on its way, whose mission is the test's own."""
+    shared_gate.renew()
+    started.renew(kind)
+    shared_gate.mark()
+    with shown(started.graph, started.gate):
+        yield started
+        print(started.estimator.said()[-2_000:])
+        started.graph.rest()
+
+
+#: The tests of one kind run one after the other: each kind has an estimator of its own.
+BOTH = pytest.mark.parametrize(
+    "kind", [Walker, Turned], ids=["odometry", "transforms"], scope="module"
+)
 
 
 def decided(gate: RunningGate) -> dict[str, Any]:
@@ -136,94 +239,73 @@ def decided(gate: RunningGate) -> dict[str, Any]:
     return snapshot
 
 
-@pytest.fixture(scope="module")
-def gate() -> Iterator[RunningGate]:
-    with hospital() as made:
-        yield made
-
-
-@pytest.fixture
-def mortal() -> Iterator[RunningGate]:
-    """A gate of a test's own, whose mission does not outlive it."""
-    with hospital() as made:
-        yield made
-
-
-@pytest.mark.parametrize("kind", [Walker, Turned], ids=["odometry", "transforms"])
+@BOTH
 def test_a_place_is_attested_and_a_goal_from_there_is_released(
-    tmp_path: Path, gate: RunningGate, kind: type[Walker]
+    course: Course, gate: RunningGate
 ) -> None:
-    with course(tmp_path, gate, kind) as (it, _):
-        goal = it.go()
-        assert goal.accepted
-        seen = decided(gate)
-        pose = {name: seen["pose"][name] for name in ("map", "floor", "x_mm", "y_mm", "margin_mm")}
-        at = {"x_mm": 36_000, "y_mm": 1_500, "margin_mm": 151}
-        assert pose == {"map": "main", "floor": 1, **at}
-        assert seen["pose"]["label"] == "trusted_sensor"
-        assert seen["readings"]["speed_mm_s"]["value"] == 0
-        assert seen["readings"]["battery_permille"]["value"] > 0  # the sensors say it
-        it.arm.end.set()
-        assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
+    goal = course.go()
+    assert goal.accepted
+    seen = decided(gate)
+    pose = {name: seen["pose"][name] for name in ("map", "floor", "x_mm", "y_mm", "margin_mm")}
+    at = {"x_mm": 36_000, "y_mm": 1_500, "margin_mm": 151}
+    assert pose == {"map": "main", "floor": 1, **at}
+    assert seen["pose"]["label"] == "trusted_sensor"
+    assert seen["readings"]["speed_mm_s"]["value"] == 0
+    assert seen["readings"]["battery_permille"]["value"] > 0  # the sensors say it
+    course.arm.end.set()
+    assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_a_robot_whose_odometry_leaves_its_regions_is_stopped_in_mid_goal(
-    tmp_path: Path, mortal: RunningGate
-) -> None:
-    """The dock ends at y = 0, and there is nothing below it."""
-    with course(tmp_path, mortal) as (it, _):
-        goal = it.go()
-        assert goal.accepted
-        it.walker.speed = (0.0, -0.4)
-        it.canceled(goal, "OUTSIDE_REGIONS")
-
-
-@pytest.mark.parametrize("kind", [Walker, Turned], ids=["odometry", "transforms"])
+@BOTH
 def test_a_robot_that_is_faster_than_it_was_released_is_stopped_in_mid_goal(
-    tmp_path: Path, mortal: RunningGate, kind: type[Walker]
+    course: Course,
 ) -> None:
     """Nav2 is released for 0.5 m/s: by the odometry's own word, or by the way that was gone."""
-    with course(tmp_path, mortal, kind) as (it, _):
-        it.walker.speed = (-0.2, 0.0)
-        goal = it.go()
-        assert goal.accepted
-        it.walker.speed = (-0.8, 0.0)
-        it.canceled(goal, "BOUND_EXCEEDED")
+    course.walker.speed = (-0.2, 0.0)
+    goal = course.go()
+    assert goal.accepted
+    course.walker.speed = (-0.8, 0.0)
+    course.canceled(goal, "BOUND_EXCEEDED")
 
 
-def test_odometry_that_is_silent_in_mid_goal_stops_the_robot(
-    tmp_path: Path, mortal: RunningGate
+@pytest.mark.smoke
+def test_a_robot_whose_odometry_leaves_its_regions_is_stopped_in_mid_goal(
+    course: Course,
 ) -> None:
-    with course(tmp_path, mortal) as (it, estimator):
-        goal = it.go()
-        assert goal.accepted
-        it.walker.is_silent = True
-        it.canceled(goal, "STATE_STALE")
-        until(lambda: estimator.events()[-1] == "silence", "its word")
+    """The dock ends at y = 0, and there is nothing below it."""
+    goal = course.go()
+    assert goal.accepted
+    course.walker.speed = (0.0, -0.4)
+    course.canceled(goal, "OUTSIDE_REGIONS")
 
 
-def test_an_estimator_that_is_killed_in_mid_goal_stops_the_robot(
-    tmp_path: Path, mortal: RunningGate
-) -> None:
-    with course(tmp_path, mortal) as (it, estimator):
-        goal = it.go()
-        assert goal.accepted
-        estimator.process.kill()
-        it.canceled(goal, "STATE_STALE")
+@pytest.mark.smoke
+def test_odometry_that_is_silent_in_mid_goal_stops_the_robot(course: Course) -> None:
+    goal = course.go()
+    assert goal.accepted
+    course.walker.is_silent = True
+    course.canceled(goal, "STATE_STALE")
+    until(lambda: course.estimator.events()[-1] == "silence", "its word")
+
+
+def test_an_estimator_that_is_killed_in_mid_goal_stops_the_robot(course: Course) -> None:
+    goal = course.go()
+    assert goal.accepted
+    course.estimator.process.kill()
+    course.canceled(goal, "STATE_STALE")
 
 
 def test_a_mission_that_is_revoked_in_mid_goal_cancels_and_stops(
-    tmp_path: Path, mortal: RunningGate
+    course: Course, gate: RunningGate
 ) -> None:
-    with course(tmp_path, mortal) as (it, _):
-        goal = it.go()
-        assert goal.accepted
-        assert mortal.live is not None
-        with mortal.client(ClientRole.OPERATOR, "orders") as operator:
-            revoked = operator.command(order(mortal, *mortal.live, Verb.REVOKE))
-        assert revoked["status"] == "revoked"
-        it.canceled(goal, "REVOKED")
-        assert not it.go().accepted
+    goal = course.go()
+    assert goal.accepted
+    assert gate.live is not None
+    with gate.client(ClientRole.OPERATOR, "orders") as operator:
+        revoked = operator.command(order(gate, *gate.live, Verb.REVOKE))
+    assert revoked["status"] == "revoked"
+    course.canceled(goal, "REVOKED")
+    assert not course.go().accepted
 
 
 def elsewhere(grant: Any) -> Any:
@@ -235,49 +317,50 @@ def elsewhere(grant: Any) -> Any:
 
 
 def test_a_mission_whose_update_does_not_allow_it_any_more_cancels_and_stops(
-    tmp_path: Path, mortal: RunningGate
+    course: Course, gate: RunningGate
 ) -> None:
-    with course(tmp_path, mortal) as (it, _):
-        goal = it.go()
-        assert goal.accepted
-        assert mortal.live is not None
-        first, digest = mortal.live
-        grants = tuple(elsewhere(grant) for grant in first.actions if grant.id != "go")
-        change = {"version": 2, "supersedes": Digest(digest), "nonce": b64(os.urandom(16))}
-        mortal.activate(mortal.token(msgspec.structs.replace(first, actions=grants, **change)))
-        it.canceled(goal, "SUPERSEDED")
-        assert not it.go().accepted
+    goal = course.go()
+    assert goal.accepted
+    assert gate.live is not None
+    first, digest = gate.live
+    grants = tuple(elsewhere(grant) for grant in first.actions if grant.id != "go")
+    change = {"version": 2, "supersedes": Digest(digest), "nonce": b64(os.urandom(16))}
+    second = msgspec.structs.replace(first, actions=grants, **change)
+    gate.live = (second, gate.activate(gate.token(second))["digest"])
+    course.canceled(goal, "SUPERSEDED")
+    assert not course.go().accepted
+
+
+def test_a_planner_has_no_way_to_make_a_robot_believe_another_place(
+    course: Course, gate: RunningGate
+) -> None:
+    """Through the node nothing leads to `/initialpose`, and no enclave of ours may write it."""
+    heard: list[Any] = []
+    robot, planner = course.graph.robot.node, course.graph.planner("hijacked")
+    before = course.estimator.events()
+    robot.create_subscription(PoseWithCovarianceStamped, "/initialpose", heard.append, 10)
+    liar = planner.node.create_publisher(PoseWithCovarianceStamped, "/llm/initialpose", 10)
+    lie = PoseWithCovarianceStamped()
+    lie.pose.pose.position.x = 4.2
+    for _ in range(10):
+        liar.publish(lie)
+    assert course.go().accepted  # after all of it, and from where the robot is
+    assert decided(gate)["pose"]["x_mm"] == 36_000
+    assert liar.get_subscription_count() == 0
+    assert heard == []
+    course.arm.end.set()
+    rights = rights_of(parse_map(map_with(1, odometry="/odom"), where="map"))
+    assert all("rt/initialpose" not in right.publish for right in rights.values())
+    node = ("authguard_estimator", "/")
+    until(lambda: node in planner.node.get_node_names_and_namespaces(), "discovery")
+    listens = planner.node.get_subscriber_names_and_types_by_node(*node)
+    assert {name for name, _ in listens} == {"/odom"}
+    speaks = planner.node.get_publisher_names_and_types_by_node(*node)
+    assert {name for name, _ in speaks} <= {"/parameter_events"}
+    assert course.estimator.events() == before
 
 
 # faults
-
-
-class Bench:
-    """An estimator of a gate that is only asked what it hears."""
-
-    def __init__(self, gate: RunningGate, walker: Walker, estimator: Running) -> None:
-        self.gate, self.walker, self.estimator = gate, walker, estimator
-        self._auditor = gate.client(ClientRole.AUDITOR, "listens")
-
-    def sound(self) -> None:
-        """Wait until it attests."""
-        until_heard(self.gate, self._auditor)
-        until(lambda: self.estimator.events()[-1] == "sound", "its word", seconds=20)
-
-    def doubtful(self, why: str, ms: int = 1_500) -> None:
-        """Wait until it attests nothing for longer than a doubt alone lasts, and says why."""
-        until_silent(self.gate, self._auditor, ms)
-        until(lambda: self.estimator.events()[-1] == why, why, seconds=20)
-
-
-@pytest.fixture(scope="module")
-def bench() -> Iterator[Bench]:
-    folder = Path(mkdtemp(prefix="ag-ros-", dir="/tmp"))
-    with hospital() as gate, graph_of(folder, gate) as graph:
-        walker = graph.add(Walker(graph.domain))
-        text = map_with(graph.domain, odometry="/odom")
-        with estimating(folder, gate, text) as estimator:
-            yield Bench(gate, walker, estimator)
 
 
 def framed(message: Any) -> None:
@@ -334,20 +417,19 @@ FAULTS: list[tuple[str, Callable[[Any], None]]] = [
 ]
 
 
-@pytest.mark.parametrize(("why", "bend"), FAULTS, ids=[bend.__name__ for _, bend in FAULTS])
+@pytest.mark.parametrize(("why", "bend"), [("frame", framed), ("stamp_still", still)])
 def test_what_is_doubtful_is_not_attested_and_what_is_sound_again_is(
-    bench: Bench, why: str, bend: Callable[[Any], None]
+    bench: Place, why: str, bend: Callable[[Any], None]
 ) -> None:
-    bench.sound()
+    """Of a message and of its stamp; all that is doubtful is heard further below."""
     bench.walker.bend = bend
     bench.doubtful(why)
     bench.walker.bend = None
     bench.sound()
 
 
-def test_a_jump_that_no_robot_can_make_is_not_attested_at_once(bench: Bench) -> None:
+def test_a_jump_that_no_robot_can_make_is_not_attested_at_once(bench: Place) -> None:
     """It is somewhere else afterwards: the gate has had no state for longer than it allows."""
-    bench.sound()
     x, y = bench.walker.at
     bench.walker.at = (x - 2.0, y)
     bench.doubtful("jump", 900)
@@ -355,8 +437,7 @@ def test_a_jump_that_no_robot_can_make_is_not_attested_at_once(bench: Bench) -> 
     bench.walker.at = (x, y)
 
 
-def test_of_two_publishers_neither_is_believed(bench: Bench) -> None:
-    bench.sound()
+def test_of_two_publishers_neither_is_believed(bench: Place) -> None:
     other = Walker(bench.walker.node.context.get_domain_id(), name="other")
     try:
         bench.doubtful("another_publisher")
@@ -365,9 +446,8 @@ def test_of_two_publishers_neither_is_believed(bench: Bench) -> None:
     bench.sound()
 
 
-def test_a_publisher_of_another_type_ends_what_is_believed(bench: Bench) -> None:
+def test_a_publisher_of_another_type_ends_what_is_believed(bench: Place) -> None:
     """It is never heard; but one of the two topics is not what it should be."""
-    bench.sound()
     other = Peer("other", bench.walker.node.context.get_domain_id())
     try:
         other.node.create_publisher(String, "/odom", 10)
@@ -377,9 +457,8 @@ def test_a_publisher_of_another_type_ends_what_is_believed(bench: Bench) -> None
     bench.sound()
 
 
-def test_node_time_that_jumps_changes_nothing(bench: Bench) -> None:
+def test_node_time_that_jumps_changes_nothing(bench: Place) -> None:
     """The robot's clock may be anything, if it goes on; `/clock` is heard by nobody."""
-    bench.sound()
     other = Peer("other", bench.walker.node.context.get_domain_id())
     clock = other.node.create_publisher(Clock, "/clock", 10)
     before, sent = bench.estimator.events(), bench.walker.sent
@@ -396,36 +475,30 @@ def test_node_time_that_jumps_changes_nothing(bench: Bench) -> None:
     assert bench.estimator.events() == before
 
 
-def test_a_planner_has_no_way_to_make_a_robot_believe_another_place(
-    tmp_path: Path, gate: RunningGate
-) -> None:
-    """Through the node nothing leads to `/initialpose`, and no enclave of ours may write it."""
-    with course(tmp_path, gate) as (it, estimator):
-        heard: list[Any] = []
-        robot, planner = it.graph.robot.node, it.graph.planner("hijacked")
-        robot.create_subscription(PoseWithCovarianceStamped, "/initialpose", heard.append, 10)
-        liar = planner.node.create_publisher(PoseWithCovarianceStamped, "/llm/initialpose", 10)
-        lie = PoseWithCovarianceStamped()
-        lie.pose.pose.position.x = 4.2
-        for _ in range(10):
-            liar.publish(lie)
-        assert it.go().accepted  # after all of it, and from where the robot is
-        assert decided(gate)["pose"]["x_mm"] == 36_000
-        assert liar.get_subscription_count() == 0
-        assert heard == []
-        it.arm.end.set()
-        rights = rights_of(parse_map(map_with(1, odometry="/odom"), where="map"))
-        assert all("rt/initialpose" not in right.publish for right in rights.values())
-        node = ("authguard_estimator", "/")
-        until(lambda: node in planner.node.get_node_names_and_namespaces(), "discovery")
-        listens = planner.node.get_subscriber_names_and_types_by_node(*node)
-        assert {name for name, _ in listens} == {"/odom"}
-        speaks = planner.node.get_publisher_names_and_types_by_node(*node)
-        assert {name for name, _ in speaks} <= {"/parameter_events"}
-        assert estimator.events() == ["start", "sound"]
+def test_a_gate_that_hangs_is_left_and_found_again(bench: Place, gate: RunningGate) -> None:
+    os.kill(gate.pid, signal.SIGSTOP)
+    try:
+        until(lambda: "no answer" in bench.estimator.said(), "its word", seconds=20)
+    finally:
+        os.kill(gate.pid, signal.SIGCONT)
+    bench.sound()
 
 
-# transforms
+def test_an_estimator_that_another_shut_out_says_so(bench: Place, gate: RunningGate) -> None:
+    ahead = time.time_ns() // 1_000_000 + 1_000
+    dock = initial_state(scenarios.site(), "dock")
+    other = snapshot_of(dock, robot=gate.rid, epoch=ahead, seq=1)
+    signer = folder_signer(gate.trust, f"estimator-{gate.rid}")
+    with gate.client(ClientRole.ESTIMATOR, "another") as client:
+        client.attest(sign_object(other, Tag.STATE, signer))
+    estimator = bench.estimator
+    until(lambda: "STATE_REPLAYED" in estimator.said(), "its word", seconds=20)
+    until(lambda: len(gate.refusals("STATE_REPLAYED")) > 6, "more of it", seconds=20)
+    assert estimator.said().count("STATE_REPLAYED") == 1
+    assert estimator.end() == 0
+
+
+# in this process
 
 
 class Ears:
@@ -452,6 +525,24 @@ class Ears:
     def close(self) -> None:
         self.robot.close()
         self.peer.close()
+
+
+@pytest.fixture(scope="module")
+def odometry() -> Iterator[Ears]:
+    made = Ears(next_domain(), Walker, odometry="/odom")
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize(("why", "bend"), FAULTS, ids=[bend.__name__ for _, bend in FAULTS])
+def test_odometry_that_is_doubtful_is_no_place(
+    odometry: Ears, why: str, bend: Callable[[Any], None]
+) -> None:
+    odometry.sound()
+    odometry.robot.bend = bend
+    odometry.doubtful(Why(why))
+    odometry.robot.bend = None
+    odometry.sound()
 
 
 @pytest.fixture(scope="module")
@@ -620,49 +711,22 @@ def test_a_node_that_does_not_spin_any_more_ends_the_process() -> None:
         asyncio.run(fails())
 
 
-# the gate
-
-
-def test_a_gate_that_hangs_is_left_and_found_again(tmp_path: Path, mortal: RunningGate) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        graph.add(Walker(graph.domain))
-        text = map_with(graph.domain, odometry="/odom")
-        with estimating(tmp_path, mortal, text) as estimator:
-            os.kill(mortal.pid, signal.SIGSTOP)
-            try:
-                until(lambda: "no answer" in estimator.said(), "its word", seconds=20)
-            finally:
-                os.kill(mortal.pid, signal.SIGCONT)
-            with mortal.client(ClientRole.AUDITOR, "listens") as auditor:
-                until_heard(mortal, auditor)
-
-
-def test_an_estimator_that_another_shut_out_says_so(tmp_path: Path, mortal: RunningGate) -> None:
-    with graph_of(tmp_path, mortal) as graph:
-        graph.add(Walker(graph.domain))
-        text = map_with(graph.domain, odometry="/odom")
-        with estimating(tmp_path, mortal, text) as estimator:
-            ahead = time.time_ns() // 1_000_000 + 1_000
-            dock = initial_state(scenarios.site(), "dock")
-            other = snapshot_of(dock, robot=mortal.rid, epoch=ahead, seq=1)
-            signer = folder_signer(mortal.trust, f"estimator-{mortal.rid}")
-            with mortal.client(ClientRole.ESTIMATOR, "another") as client:
-                client.attest(sign_object(other, Tag.STATE, signer))
-            until(lambda: "STATE_REPLAYED" in estimator.said(), "its word", seconds=20)
-            until(lambda: len(mortal.refusals("STATE_REPLAYED")) > 6, "more of it", seconds=20)
-            assert estimator.said().count("STATE_REPLAYED") == 1
-            assert estimator.end() == 0
-
-
 # what it does not start with
 
 
 def test_it_does_not_start_without_security_or_with_what_is_not_its_own(
-    tmp_path: Path, gate: RunningGate
+    tmp_path: Path,
+    gate: RunningGate,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    keys = gate.trust / "keys"
+    keys, path, sealed = gate.trust / "keys", tmp_path / "map.yaml", tmp_path / "sealed.pem"
+    own = keys / f"estimator-{gate.rid}"
+    given = {"map": path, "run": gate.run, "site": gate.site, "trust": gate.trust}
+    given |= {"key": f"{own}.key.pem", "cert": f"{own}.cert.pem"}
     sound = map_with(1, odometry="/odom")
     other = {"key": keys / "operator-1.key.pem", "cert": keys / "operator-1.cert.pem"}
+    sealed.write_bytes(seal(Path(f"{own}.key.pem").read_bytes(), "several words for a test"))
     refused: list[tuple[str, str, tuple[str, ...], dict[str, object]]] = [
         ("ROS_SECURITY_ENABLE", sound, (), {}),
         ("ROLE_DENIED", sound, ("--demo",), other),
@@ -672,15 +736,14 @@ def test_it_does_not_start_without_security_or_with_what_is_not_its_own(
         ("map.robot", sound.replace("courier-1", "courier-9"), ("--demo",), {}),
         ("unrecognized", sound, ("--demo", "--ros-args"), {}),
         ("invalid choice", sound, ("--demo", "--rate", "0"), {}),
-        ("cannot read", sound, ("--demo",), {"passphrase-file": tmp_path / "none"}),
+        ("cannot read", sound, ("--demo",), {"passphrase-file": path / "none", "key": sealed}),
     ]
-    sealed = tmp_path / "sealed.pem"
     for word, text, more, changes in refused:
-        given = {**changes, **({"key": sealed} if "passphrase-file" in changes else {})}
-        sealed.write_bytes(
-            seal((keys / f"estimator-{gate.rid}.key.pem").read_bytes(), "several words for a test")
-        )
-        made = Running(tmp_path, gate, text, *more, **given)
-        assert made.process.wait(60) != 0, word
-        assert word in made.said(), (word, made.said())
-        made.end()
+        path.write_text(text)
+        words = [w for name, value in {**given, **changes}.items() for w in (f"--{name}", value)]
+        monkeypatch.setattr(sys, "argv", ["estimator", *map(str, words), *more])
+        with pytest.raises(SystemExit) as ended:
+            estimator.main()
+        said = f"{ended.value.code} {capsys.readouterr().err}"
+        assert ended.value.code not in {None, 0}, word
+        assert word in said, (word, said)

@@ -12,16 +12,17 @@ import json
 import signal
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="an environment with ROS runs these (tests/ros/make.sh)")
 
-from fixtures.ros_processes import Driving, Robot, move
+from authguard_r.ros.nodes import actuator, deadman
+from fixtures.ros_processes import Driving, Robot, Watched, move
 
 #: From a fault to a base that stands and a goal that is canceled, in milliseconds.
 SOON_MS = 1_000.0
+ANOTHER = '"why": "another_publisher"'
 FAULTS = {
     "killed": "SIGKILL",
     "stopped by the kernel": "SIGSTOP",
@@ -31,17 +32,31 @@ FAULTS = {
 }
 
 
+@pytest.fixture(scope="module")
+def started() -> Iterator[Watched]:
+    """A server, a base and a dead-man, which outlive each test's gate."""
+    with Robot() as made:
+        yield Watched(made)
+
+
+@pytest.fixture
+def watched(started: Watched) -> Iterator[Watched]:
+    with started.robot.visit():
+        yield started
+
+
 @pytest.fixture
 def robot() -> Iterator[Robot]:
+    """A robot of a test's own, of which nothing runs."""
     with Robot() as made:
         yield made
 
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
 def test_a_gate_that_does_not_live_stops_the_base_and_cancels_the_goal(
-    robot: Robot, fault: str
+    watched: Watched, fault: str
 ) -> None:
-    driving = Driving(robot)
+    driving = Driving(watched)
     begun = driving.fault(fault)
     stopped, canceled = driving.stopped_ms(begun), driving.canceled_ms(begun)
     print(f"{fault}: stands after {stopped:.0f} ms, canceled after {canceled:.0f} ms")
@@ -52,29 +67,30 @@ def test_a_gate_that_does_not_live_stops_the_base_and_cancels_the_goal(
 
 
 def test_an_executor_of_several_threads_is_as_dead_when_what_mediates_is_stuck(
-    robot: Robot,
+    watched: Watched,
 ) -> None:
-    driving = Driving(robot, gate=("several",))
+    driving = Driving(watched, gate=("several",))
     begun = driving.fault("deadlock")
     assert driving.stopped_ms(begun) < SOON_MS
     assert driving.canceled_ms(begun) < SOON_MS
 
 
-def test_nothing_moves_after_death_until_a_new_life_has_stood_first(robot: Robot) -> None:
-    driving = Driving(robot)
+@pytest.mark.smoke
+def test_nothing_moves_after_death_until_a_new_life_has_stood_first(watched: Watched) -> None:
+    driving = Driving(watched)
     begun = driving.fault("SIGKILL")
     driving.stopped_ms(begun)
     driving.canceled_ms(begun)
     died = len(driving.base.velocities())
-    reborn = robot.start("gate")
+    reborn = watched.robot.start("gate")
     driving.base.open(after=begun)
     assert set(driving.base.velocities()[died:]) == {0.0}
     move(driving.base, reborn, 0.2)
 
 
-def test_a_gate_that_wakes_up_and_goes_on_as_before_moves_nothing(robot: Robot) -> None:
+def test_a_gate_that_wakes_up_and_goes_on_as_before_moves_nothing(watched: Watched) -> None:
     """After `SIGCONT` it still says the velocity of a lease that nobody looked at meanwhile."""
-    driving = Driving(robot, gate=("stubborn",))
+    driving = Driving(watched, gate=("stubborn",))
     begun = driving.fault("SIGSTOP")
     driving.stopped_ms(begun)
     died = len(driving.base.velocities())
@@ -89,9 +105,9 @@ def test_a_gate_that_wakes_up_and_goes_on_as_before_moves_nothing(robot: Robot) 
 
 
 def test_the_heartbeat_tells_its_owner_of_its_own_silence_before_it_speaks_again(
-    robot: Robot,
+    watched: Watched,
 ) -> None:
-    driving = Driving(robot)
+    driving = Driving(watched)
     begun = driving.fault("SIGSTOP")
     driving.stopped_ms(begun)
     driving.gate.send(signal.SIGCONT)
@@ -100,8 +116,8 @@ def test_the_heartbeat_tells_its_owner_of_its_own_silence_before_it_speaks_again
     assert driving.base.velocities()[-1] == 0.0
 
 
-def test_a_lease_that_ends_stands_the_base_without_a_latch(robot: Robot) -> None:
-    driving = Driving(robot)
+def test_a_lease_that_ends_stands_the_base_without_a_latch(watched: Watched) -> None:
+    driving = Driving(watched)
     begun = driving.fault("end")
     assert driving.stopped_ms(begun) < SOON_MS
     assert driving.canceled_ms(begun) < SOON_MS
@@ -109,80 +125,85 @@ def test_a_lease_that_ends_stands_the_base_without_a_latch(robot: Robot) -> None
     assert driving.base.velocity(0.1, after=begun)["why"] is None
 
 
-def test_the_own_watch_alone_stops_the_base_where_dds_says_nothing(robot: Robot) -> None:
-    driving = Driving(robot, base=("no-events",))
+def test_the_own_watch_alone_stops_the_base_where_dds_says_nothing(watched: Watched) -> None:
+    driving = Driving(watched, base=watched.robot.start("base", "no-events"))
     begun = driving.fault("SIGKILL")
     assert driving.stopped_ms(begun) < SOON_MS
     assert driving.base.velocity(0.0, after=begun)["why"] == "silence"
 
 
-def test_a_base_whose_own_executor_is_stuck_stands(robot: Robot) -> None:
-    driving = Driving(robot)
+def test_a_base_whose_own_executor_is_stuck_stands(watched: Watched) -> None:
+    driving = Driving(watched, base=watched.robot.start("base"))
     begun = time.monotonic_ns()
     driving.base.tell("stick")
     assert driving.stopped_ms(begun) < SOON_MS
 
 
-def test_a_driver_that_fails_is_told_to_stand(robot: Robot) -> None:
-    driving = Driving(robot)
+def test_a_driver_that_fails_is_told_to_stand(watched: Watched) -> None:
+    driving = Driving(watched, base=watched.robot.start("base"))
     begun = time.monotonic_ns()
     driving.base.tell("fail")
     assert driving.base.velocity(0.0, after=begun)["why"] == "driver"
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
-def test_l3_a_velocity_that_is_no_number_stops_the_base(robot: Robot, value: str) -> None:
-    base, gate = robot.start("base"), robot.start("gate")
-    move(base, gate)
+@pytest.mark.smoke
+def test_l3_a_velocity_that_is_no_number_stops_the_base(watched: Watched) -> None:
+    base, gate = watched.base, watched.robot.start("gate")
+    for value in ("nan", "inf", "-inf"):
+        move(base, gate)
+        begun = time.monotonic_ns()
+        gate.tell(f"drive {value}")
+        assert base.velocity(0.0, after=begun)["why"] == "not_finite", value
+        assert set(base.velocities(after=begun)) == {0.0}, value
+
+
+@pytest.mark.smoke
+def test_a_rogue_with_the_default_profile_is_not_matched(watched: Watched) -> None:
     begun = time.monotonic_ns()
-    gate.tell(f"drive {value}")
-    assert base.velocity(0.0, after=begun)["why"] == "not_finite"
-    assert set(base.velocities()) == {0.0, 0.3}
-
-
-def test_a_rogue_with_the_default_profile_is_not_matched(robot: Robot) -> None:
-    base, gate = robot.start("base"), robot.start("gate")
-    base.open()
-    rogue = robot.start("rogue", "default", "9")
+    base, gate = watched.base, watched.robot.start("gate")
+    base.open(after=begun)
+    rogue = watched.robot.start("rogue", "default", "9")
     rogue.event("incompatible")
     rogue.until_more(50)
     move(base, gate)  # the base goes on to obey the gate alone
-    assert set(base.velocities()) == {0.0, 0.3}
+    assert set(base.velocities(after=begun)) == {0.0, 0.3}
     assert not [line for line in rogue.lines if line["event"] == "matched"]
 
 
-def test_a_second_publisher_with_the_right_profile_latches_a_stop(robot: Robot) -> None:
-    base, gate = robot.start("base"), robot.start("gate")
+@pytest.mark.smoke
+def test_a_second_publisher_with_the_right_profile_latches_a_stop(watched: Watched) -> None:
+    begun = time.monotonic_ns()
+    base, gate = watched.base, watched.robot.start("gate")
     move(base, gate)
     moved = time.monotonic_ns()
-    rogue = robot.start("rogue", "right", "9")
+    rogue = watched.robot.start("rogue", "right", "9")
     assert base.velocity(0.0, after=moved)["why"] == "another_publisher"
     rogue.until_more(50)
     gate.tell("drive 0")  # both publish: nothing is a fresh lease
-    assert set(base.velocities()) == {0.0, 0.3}
+    assert set(base.velocities(after=begun)) == {0.0, 0.3}
     assert [line["why"] for line in base.lines[1:] if line["ns"] > moved] == ["another_publisher"]
     ended = rogue.send(signal.SIGKILL)
     base.open(after=ended)
 
 
 def test_a_second_publisher_is_found_by_its_first_sample_where_dds_says_nothing(
-    robot: Robot,
+    watched: Watched,
 ) -> None:
-    base, gate = robot.start("base", "no-events"), robot.start("gate")
+    base, gate = watched.robot.start("base", "no-events"), watched.robot.start("gate")
     move(base, gate)
     moved = time.monotonic_ns()
-    robot.start("rogue", "right", "9")
+    watched.robot.start("rogue", "right", "9")
     assert base.velocity(0.0, after=moved)["why"] == "another_publisher"
     assert set(base.velocities()) == {0.0, 0.3}
 
 
 def test_two_publishers_that_stand_are_no_lease_where_nobody_says_whose_a_sample_is(
-    robot: Robot,
+    watched: Watched,
 ) -> None:
     """An older rclpy: the second one would be taken for the first, and then speed up."""
-    base, gate = robot.start("base", "no-ids"), robot.start("gate")
+    base, gate = watched.robot.start("base", "no-ids"), watched.robot.start("gate")
     base.open()
-    rogue = robot.start("rogue", "right", "0")
+    rogue = watched.robot.start("rogue", "right", "0")
     base.until(lambda line: line.get("why") == "another_publisher")
     rogue.until_more(50)
     assert base.lines[-1]["why"] == "another_publisher"
@@ -191,13 +212,13 @@ def test_two_publishers_that_stand_are_no_lease_where_nobody_says_whose_a_sample
     move(base, gate)
 
 
-def test_two_gates_stop_the_base_and_cancel_the_goal(robot: Robot) -> None:
-    driving = Driving(robot)
-    begun = time.monotonic_ns()
-    robot.start("gate")
+def test_two_gates_stop_the_base_and_cancel_the_goal(watched: Watched) -> None:
+    driving = Driving(watched)
+    said, begun = driving.deadman.count(ANOTHER), time.monotonic_ns()
+    watched.robot.start("gate")
     assert driving.base.velocity(0.0, after=begun)["why"] == "another_publisher"
     driving.canceled_ms(begun)
-    driving.deadman.says('"why": "another_publisher"')
+    driving.deadman.says(ANOTHER, times=said + 1)
 
 
 def test_a_dead_man_that_starts_without_a_heartbeat_cancels_what_runs(robot: Robot) -> None:
@@ -282,16 +303,16 @@ def test_a_dead_man_without_the_events_of_dds_cancels_by_its_own_watch(robot: Ro
     blind.says('"why": "silence"')
 
 
-def test_a_dead_man_says_nothing_and_calls_nothing_but_cancel(robot: Robot) -> None:
-    robot.run("deadman")
-    seen = robot.start("looker", "authguard_deadman").event("seen")
+def test_a_dead_man_says_nothing_and_calls_nothing_but_cancel(watched: Watched) -> None:
+    seen = watched.robot.start("looker", "authguard_deadman").event("seen")
     topics = [name for name, _ in seen["topics"]]
     assert topics == ["/parameter_events"]  # every node of rclpy has it
     assert [name for name, _ in seen["clients"]] == ["/fibonacci/_action/cancel_goal"]
     assert seen["services"] == []
 
 
-def test_a_relay_stands_before_a_base_that_knows_nothing_of_us(robot: Robot) -> None:
+def test_a_relay_stands_before_a_base_that_knows_nothing_of_us(watched: Watched) -> None:
+    robot = watched.robot
     wheels = robot.start("wheels", "/base/cmd_vel")
     relay, gate = robot.run("actuator", "move", "/base/cmd_vel"), robot.start("gate")
     relay.says("moves")
@@ -302,24 +323,21 @@ def test_a_relay_stands_before_a_base_that_knows_nothing_of_us(robot: Robot) -> 
     assert (stopped["ns"] - begun) / 1e6 < SOON_MS
 
 
-@pytest.mark.parametrize(
-    ("module", "words", "where"),
-    [
-        ("actuator", ("count", "/base/cmd_vel"), "mediated"),
-        ("actuator", ("move", "/elsewhere"), "processes./robot/base.publishes"),
-    ],
-)
 def test_a_relay_takes_only_what_the_map_gives_it(
-    robot: Robot, module: str, words: tuple[str, ...], where: str
+    robot: Robot, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    refused = robot.run(module, *words, waits=False)
-    assert refused.process.wait(60) == 2
-    refused.says("refused")
-    assert json.loads(refused.errors[-1])["where"] == where
+    for words, where in (
+        (("count", "/base/cmd_vel"), "mediated"),
+        (("move", "/elsewhere"), "processes./robot/base.publishes"),
+    ):
+        assert actuator.main([str(robot.map), *words, "--demo"]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert json.loads(line)["event"] == "refused"
+        assert json.loads(line)["where"] == where
 
 
-def test_words_of_ros_are_refused(robot: Robot, tmp_path: Path) -> None:
-    words = ("--ros-args", "-r", "/authguard/heartbeat:=/elsewhere")
-    refused = robot.run("deadman", *words, waits=False)
-    assert refused.process.wait(60) == 2
-    refused.says("expected MAP")
+def test_words_of_ros_are_refused(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--ros-args", "-r", "/authguard/heartbeat:=/elsewhere"]
+    for module in (deadman, actuator):
+        assert module.main([str(robot.map), *words, "--demo"]) == 2
+        assert "expected MAP" in capsys.readouterr().err

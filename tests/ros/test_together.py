@@ -25,8 +25,7 @@ ABORTED, SUCCEEDED = GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_SUCCEEDED
 
 
 def chimes(graph: Graph) -> Arm:
-    """Start the node; return a server of goals that may run beside others."""
-    graph.start()
+    """Return a server of goals that may run beside others."""
     server = graph.robot.chimes
     server.each = lambda goal: (
         Fibonacci.Feedback(sequence=[goal.order]),
@@ -111,7 +110,7 @@ def test_a_robot_is_steered_while_it_sounds_and_its_stream_ends_alone(
 ) -> None:
     server, base = chimes(graph), graph.robot.base
     stick = Stick(graph.planner("driver"), Twist, "/llm/cmd_vel")
-    until(lambda: base.told, "the base is heard by")
+    until(lambda: base.heard, "the base is heard by")
     stick.message = twist(0.2)
     until(lambda: 0.2 in base.speeds, "the velocity")
     (sound,) = asked(graph, 1)

@@ -74,6 +74,7 @@ def test_a_tenth_of_32_bits_is_a_tenth() -> None:
     assert plain_of(Point32(x=tenth))["x"] == 0.1
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_l3_a_number_that_is_none_is_refused_with_its_place(value: float) -> None:
     goal = PoseStamped()

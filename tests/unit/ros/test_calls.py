@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map, a binding and a site that do not fit each other are never served.
 
-What each kind becomes, tests/ros/test_calls.py looks at. Spec page: docs/spec/ros.md#calls
+Spec page: docs/spec/ros.md#calls
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import pytest
 import yaml
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.normalize.binding import Binding
-from authguard_r.ros.calls import fitted
+from authguard_r.normalize.binding import Binding, load_binding
+from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.shipped import binding_source
+from authguard_r.ros.calls import body_of, bound, call_of, fitted, item_of
+from authguard_r.ros.map import RosMap, parse_map
 from authguard_r.site.model import Site
 from authguard_r.site.source import parse_site, read_site
 from authguard_r.tools.given import given_binding
@@ -19,6 +24,22 @@ from fixtures.ros_keystores import example, map_of, plain_map
 from fixtures.scenarios import ROOT
 
 HERE = ROOT / "examples" / "ros"
+#: Each kind of thing that a map can mediate.
+KINDS = ROOT / "tests" / "ros"
+MAP = (KINDS / "map.yaml").read_text()
+YARD = """
+schema: authguard-r/site/1
+id: yard
+version: 1
+words: standard
+regions:
+  lane:
+    {map: main, floor: 0, points: [[0, 0], [9, 0], [9, 9], [0, 9]], approach: [4, 4], tags: [],
+     names: []}
+doors: []
+objects: {}
+robots: {}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +50,17 @@ def site() -> Site:
 @pytest.fixture(scope="module")
 def binding(site: Site) -> Binding:
     return given_binding(str(HERE / "binding.yaml"), site)
+
+
+@pytest.fixture(scope="module")
+def yard() -> Site:
+    return parse_site(YARD, where="site")
+
+
+@pytest.fixture(scope="module")
+def kinds(yard: Site) -> Binding:
+    plain = yaml.safe_load((KINDS / "binding.yaml").read_text())
+    return load_binding(plain, site=yard, where="binding")
 
 
 def brakeless() -> Site:
@@ -65,3 +97,61 @@ def test_a_name_that_is_no_way_of_the_binding_is_not_served(site: Site, binding:
     with pytest.raises(MalformedError, match="a way of the binding") as caught:
         fitted(binding, map_of(plain), site)
     assert caught.value.where == "mediated.light"
+
+
+def changed(**mediated: Any) -> RosMap:
+    plain = yaml.safe_load(MAP)
+    plain["mediated"] |= mediated
+    return parse_map(yaml.safe_dump(plain), where="map")
+
+
+def test_each_mediated_thing_is_found_again_in_its_own_call(yard: Site, kinds: Binding) -> None:
+    ros = parse_map(MAP, where="map")
+    spoken = bound(kinds, ros, yard)
+    assert {name: len(ways) for name, ways in spoken.tools.items()} == {  # type: ignore[arg-type]
+        "send_action_goal": 2,
+        "call_service": 4,
+        "publish": 2,
+    }
+    for key, item in ros.mediated.items():
+        assert item_of(call_of(item, {"x": 1}), ros) == key
+
+
+def test_a_message_without_a_field_has_no_body() -> None:
+    item = parse_map(MAP, where="map").mediated["lamp"]
+    for plain in ({}, {"data": 1}):
+        assert body_of(item, call_of(item, plain).arguments) == plain
+    with pytest.raises(MalformedError, match="something that the map mediates"):
+        item_of(Call("publish", {"topic": "/other"}, "ros"), parse_map(MAP, where="map"))
+
+
+def test_l16_what_no_way_of_the_binding_means_is_not_mediated(yard: Site, kinds: Binding) -> None:
+    for change in ({"private": "/other"}, {"type": "std_msgs/msg/Int8"}):
+        lamp = {**yaml.safe_load(MAP)["mediated"]["lamp"], **change}
+        with pytest.raises(MalformedError, match="a way of the binding"):
+            bound(kinds, changed(lamp=lamp), yard)
+
+
+def test_velocities_are_a_stream_and_nothing_else_is(yard: Site, kinds: Binding) -> None:
+    items = yaml.safe_load(MAP)["mediated"]
+    with pytest.raises(MalformedError, match="expected a stream"):
+        bound(kinds, changed(wheels={**items["wheels"], "kind": "message"}), yard)
+    with pytest.raises(MalformedError, match="velocities for a time"):
+        bound(kinds, changed(lamp={**items["lamp"], "kind": "stream"}), yard)
+
+
+def test_only_what_is_mediated_is_rebuilt(yard: Site) -> None:
+    """Of nine goals of Nav2 the robot has one: no other way carries an action to it."""
+    binding = load_binding(binding_source("nav2"), site=yard, where="nav2")
+    goal = {
+        "kind": "action",
+        "type": "nav2_msgs/action/FollowWaypoints",
+        "public": "/llm/follow_waypoints",
+        "private": "/follow_waypoints",
+        "by": "/robot",
+    }
+    plain = {**yaml.safe_load(MAP), "mediated": {"waypoints": goal}}
+    spoken = bound(binding, parse_map(yaml.safe_dump(plain), where="map"), yard)
+    assert list(spoken.tools) == ["send_action_goal"]
+    (way,) = spoken.tools["send_action_goal"]  # type: ignore[misc]
+    assert way.message == "nav2_msgs/action/FollowWaypoints"

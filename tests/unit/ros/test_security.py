@@ -76,6 +76,9 @@ def test_l7_a_wrong_word_is_a_refusal_and_not_a_plain_node(made: Path) -> None:
             with pytest.raises(EnvironmentFault, match="a node that anybody can be") as failed:
                 require_security(example(), GATE, environment(made, **{name: value}))
             assert failed.value.where == name
+            if wanted := EXACTLY.get(name):
+                got = "nothing" if value is None else f"`{value}`"
+                assert f"expected exactly `{wanted}`, got {got}" in failed.value.message
 
 
 def test_a_process_does_not_start_in_an_enclave_of_another_robot(tmp_path: Path) -> None:
