@@ -215,11 +215,13 @@ async def configured(place: Place, context: Context, log: Log) -> AsyncIterator[
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(raised(failed)), group.create_task(mediator.driver.stay())]
             await spinner.do(mediator.reach)
-            await _ready(mediator)
             try:
-                yield mediator
+                await _ready(mediator)
+                try:
+                    yield mediator
+                finally:
+                    await mediator.body.let_go()
             finally:
-                await mediator.body.let_go()
                 await mediator.proposals.close()
             for task in tasks:
                 task.cancel()
