@@ -28,6 +28,8 @@ from authguard_r.wire.messages import ClientRole
 from authguard_r.wire.questions import Question
 from fixtures import approvals, scenarios
 from fixtures.gate_process import RunningGate, until
+from fixtures.guarded_tools import shared_courier
+from fixtures.shared_gate import SharedGate
 
 PLAN = b'{"tool": "navigate_to", "arguments": {"destination": "Isolation Room", "speed": 0.8}}'
 #: Words that stand nowhere else: what a planner must never read.
@@ -35,23 +37,35 @@ WORDS = "zebra-quarantine-told-by-nurse"
 
 
 @pytest.fixture(scope="module")
-def gate() -> Iterator[RunningGate]:
-    with RunningGate(simulate=True, refusals=0) as gate:
-        yield gate
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
 
 
-def fresh(gate: RunningGate, **risk: Any) -> GateClient:
-    """Restart the gate with a store of its own and a mission that asks; return a planner."""
-    if gate.alive:
-        gate.stop_process("gate")
-    for path in gate.folder.glob("robot.db*"):
-        path.unlink()
-    gate.start_gate()
+@pytest.fixture
+def gate(shared: SharedGate, tmp_path: Path) -> Iterator[RunningGate]:
+    """Yield a gate whose robot goes where it is sent and is always said to stand at the dock."""
+    with shared_courier(shared, tmp_path, activate=False) as robot, robot.guard(client="drives"):
+        yield robot.gate
+
+
+@pytest.fixture
+def own() -> Iterator[RunningGate]:
+    """Yield a gate of the test's own, which it starts; it may run beside the shared one."""
+    made = RunningGate(simulate=True, refusals=0, trust=scenarios.second_trust_folder())
+    try:
+        yield made
+    finally:
+        made.end()
+
+
+def asking(gate: RunningGate, **risk: Any) -> GateClient:
+    """Activate a mission that asks people; return a planner."""
     gate.activate(gate.token(approvals.at_gate(gate, **risk)))
     with gate.client(ClientRole.OPERATOR, "waits") as operator:
         # simulated time may be behind the wall's, in which the mission was compiled
         until(lambda: foreseen(operator) == ["APPROVAL_REQUIRED"], "the mission's first second")
-    return gate.client(ClientRole.PLANNER)
+    return gate.client(ClientRole.PLANNER, gate.mid)
 
 
 def foreseen(operator: GateClient) -> list[str]:
@@ -60,8 +74,8 @@ def foreseen(operator: GateClient) -> list[str]:
     return found
 
 
-def key(name: str) -> Any:
-    return folder_signer(scenarios.trust_folder(), name)
+def key(name: str, trust: Path | None = None) -> Any:
+    return folder_signer(trust or scenarios.trust_folder(), name)
 
 
 def reasons(planner: GateClient) -> list[str]:
@@ -71,7 +85,7 @@ def reasons(planner: GateClient) -> list[str]:
 
 @pytest.mark.smoke
 def test_people_are_shown_what_is_asked_answer_it_and_the_robot_moves(gate: RunningGate) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
         assert console.approvals() == ()
         events = console.watch()
@@ -103,7 +117,7 @@ def test_people_are_shown_what_is_asked_answer_it_and_the_robot_moves(gate: Runn
     assert seen[0]["required"] == 2
     assert seen[1]["by"] == "supervisor-1"
     assert {event["counter"] for event in seen} == {1}
-    decided = [r for r in gate.records() if r.kind == "decision"][-1]
+    decided = [r for r in gate.news() if r.kind == "decision"][-1]
     assert decided.open["approvers"] == [
         {"by": "supervisor-1", "role": "supervisor", "kind": "individual", "verdict": "approve"}
     ]
@@ -111,7 +125,7 @@ def test_people_are_shown_what_is_asked_answer_it_and_the_robot_moves(gate: Runn
 
 @pytest.mark.smoke
 def test_what_an_approver_says_reaches_the_log_and_no_planner(gate: RunningGate) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
         assert reasons(planner) == ["APPROVAL_REQUIRED"]
         (question,) = console.approvals()
@@ -123,14 +137,14 @@ def test_what_an_approver_says_reaches_the_log_and_no_planner(gate: RunningGate)
     assert told["steps"][-1]["reasons"] == ["APPROVAL_DENIED"]
     assert WORDS not in json.dumps(told)
     assert "supervisor-1" not in json.dumps(told)
-    answered = [r for r in gate.records() if r.open.get("verb") == "answer"]
+    answered = [r for r in gate.news() if r.open.get("verb") == "answer"]
     assert [r.sealed["why"] for r in answered] == [WORDS]
-    assert not [r for r in gate.records() if r.kind != "management" and WORDS in str(r)]
+    assert not [r for r in gate.news() if r.kind != "management" and WORDS in str(r)]
     assert WORDS not in gate.said()
 
 
 def test_an_answer_that_does_not_count_is_told_so(gate: RunningGate) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
         reasons(planner)
         (question,) = console.approvals()
@@ -141,7 +155,7 @@ def test_an_answer_that_does_not_count_is_told_so(gate: RunningGate) -> None:
 
 
 def test_bytes_that_are_not_those_of_the_digests_are_shown_to_nobody(gate: RunningGate) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
         reasons(planner)
         (question,) = console.approvals()
@@ -160,11 +174,11 @@ def test_bytes_that_are_not_those_of_the_digests_are_shown_to_nobody(gate: Runni
             pytest.raises(AuthGuardError),
         ):
             console.answer(lied, Verdict.APPROVE, key("supervisor-1"))
-    assert [r for r in gate.records() if r.open.get("verb") == "answer"] == []
+    assert [r for r in gate.news() if r.open.get("verb") == "answer"] == []
 
 
 def test_two_people_answer_at_once_over_the_event_loop(gate: RunningGate) -> None:
-    planner = fresh(gate, tau_2=31)
+    planner = asking(gate, tau_2=31)
     assert reasons(planner) == ["APPROVAL_REQUIRED"]
 
     async def both() -> list[dict[str, Any]]:
@@ -191,7 +205,7 @@ def test_two_people_answer_at_once_over_the_event_loop(gate: RunningGate) -> Non
 
 
 def test_a_request_that_runs_out_is_told_once(gate: RunningGate) -> None:
-    planner = fresh(gate, valid="1 s")
+    planner = asking(gate, valid="1 s")
     with gate.client(ClientRole.AUDITOR, "watches") as auditor:
         events = auditor.watch()
         assert reasons(planner) == ["APPROVAL_REQUIRED"]
@@ -205,15 +219,15 @@ def test_a_request_that_runs_out_is_told_once(gate: RunningGate) -> None:
     assert reasons(planner) == ["APPROVAL_TIMEOUT"]
 
 
-def test_requests_are_there_after_a_restart(gate: RunningGate) -> None:
-    planner = fresh(gate)
-    reasons(planner)
-    gate.restart()
-    with gate.client(ClientRole.OPERATOR, "console") as console:
+def test_requests_are_there_after_a_restart(own: RunningGate) -> None:
+    own.start_gate()
+    reasons(asking(own))
+    own.restart()
+    with own.client(ClientRole.OPERATOR, "console") as console:
         (question,) = console.approvals()
         assert shown(question).scope.destination == "isolation-room"
-        console.answer(question, Verdict.APPROVE, key("supervisor-2"))
-    assert reasons(gate.client(ClientRole.PLANNER)) == []
+        console.answer(question, Verdict.APPROVE, key("supervisor-2", own.trust))
+    assert reasons(own.client(ClientRole.PLANNER)) == []
 
 
 # the command line
@@ -232,7 +246,7 @@ def keys(name: str) -> tuple[str, ...]:
 def test_approvals_from_the_command_line(
     gate: RunningGate, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     at = ("--gate", gate.socket)
     assert authguard(capsys, "approvals", "list", *at) == (0, {"requests": []})
     reasons(planner)
@@ -261,7 +275,7 @@ def test_approvals_from_the_command_line(
 def test_a_denial_from_the_command_line_needs_a_reason(
     gate: RunningGate, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     reasons(planner)
     words = ("approvals", "deny", 1, "--gate", gate.socket, *keys("supervisor-2"), "--yes")
     assert authguard(capsys, *words)[0] == 2
@@ -274,7 +288,7 @@ def test_a_denial_from_the_command_line_needs_a_reason(
 def test_an_approval_behind_a_denial_is_told_that_it_moves_nothing(
     gate: RunningGate, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     reasons(planner)
     at = ("--gate", str(gate.socket))
     no = ("approvals", "deny", 1, *at, *keys("supervisor-2"), "--yes", "--reason", WORDS)
@@ -294,7 +308,7 @@ def test_an_approval_behind_a_denial_is_told_that_it_moves_nothing(
 
 
 def test_approvals_in_words(gate: RunningGate, capsys: pytest.CaptureFixture[str]) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     reasons(planner)
     at = ("--gate", str(gate.socket))
     assert call(["approvals", "list", *at]) == 3
@@ -305,7 +319,7 @@ def test_approvals_in_words(gate: RunningGate, capsys: pytest.CaptureFixture[str
 
 
 def test_approvals_watch_says_what_becomes_of_a_request(gate: RunningGate) -> None:
-    planner = fresh(gate)
+    planner = asking(gate)
     words = ["approvals", "watch", "--gate", str(gate.socket), "--jsonl", "--count", "2"]
     watching = subprocess.Popen(
         [Path(sys.executable).parent / "authguard", *words], stdout=subprocess.PIPE
@@ -328,7 +342,7 @@ def test_approvals_watch_says_what_becomes_of_a_request(gate: RunningGate) -> No
 
 
 def test_scripted_people_wait_apart_from_the_machine(gate: RunningGate) -> None:
-    planner = fresh(gate, tau_2=31)
+    planner = asking(gate, tau_2=31)
     reasons(planner)
     words = ["approvers", "--gate", str(gate.socket), "--trust", str(scenarios.trust_folder())]
     words += ["--as", "supervisor-1", "--as", "supervisor-2", "--count", "2"]
@@ -373,14 +387,8 @@ def policy(version: int, *, organization: str = "hospital", **changes: Any) -> O
 
 def write(gate: RunningGate, made: OrganizationPolicy, by: str = "safety-officer-1") -> str:
     path = gate.folder / f"{made.organization}-{made.version}-{by}.token"
-    path.write_bytes(sign_object(made, Tag.RISK_POLICY, key(by)))
+    path.write_bytes(sign_object(made, Tag.RISK_POLICY, key(by, gate.trust)))
     return str(path)
-
-
-def restart(gate: RunningGate, *words: str) -> None:
-    if gate.alive:
-        gate.stop_process("gate")
-    gate.start_gate(*words)
 
 
 def refuses(gate: RunningGate, *words: str) -> dict[str, Any]:
@@ -395,12 +403,10 @@ def refuses(gate: RunningGate, *words: str) -> dict[str, Any]:
     return error
 
 
-def test_the_organizations_policy_over_time(gate: RunningGate) -> None:
-    fresh(gate)
-    restart(gate, "--risk-policy", write(gate, policy(2)))
-    planner = gate.client(ClientRole.PLANNER)
-    assert reasons(planner) == ["APPROVAL_REQUIRED"]
-    with gate.client(ClientRole.OPERATOR, "console") as console:
+def test_the_organizations_policy_over_time(own: RunningGate) -> None:
+    own.start_gate("--risk-policy", write(own, policy(2)))
+    assert reasons(asking(own)) == ["APPROVAL_REQUIRED"]
+    with own.client(ClientRole.OPERATOR, "console") as console:
         (question,) = console.approvals()
         assert (question.required, question.risk) == (3, 65)
         assert shown(question).situation.tier == 3
@@ -411,44 +417,41 @@ def test_the_organizations_policy_over_time(gate: RunningGate) -> None:
         (policy(2, t=2), "SUPERSEDED"),
         (policy(3, organization="clinic"), "ISSUER_MISMATCH"),
     ):
-        assert refuses(gate, "--risk-policy", write(gate, made))["code"] == code
-    assert refuses(gate)["code"] == "SUPERSEDED"
-    told = [r for r in gate.records() if r.kind == "refusal" and "SUPERSEDED" in r.reasons]
+        assert refuses(own, "--risk-policy", write(own, made))["code"] == code
+    assert refuses(own)["code"] == "SUPERSEDED"
+    told = [r for r in own.records() if r.kind == "refusal" and "SUPERSEDED" in r.reasons]
     assert len(told) >= 2
-    held = [r.open for r in gate.records() if r.open.get("verb") == "risk-policy"]
+    held = [r.open for r in own.records() if r.open.get("verb") == "risk-policy"]
     assert [(item["version"], item["organization"]) for item in held] == [(2, "hospital")]
     # whoever may not say so says nothing
-    foreign = refuses(gate, "--risk-policy", write(gate, policy(9), by="operator-1"))
+    foreign = refuses(own, "--risk-policy", write(own, policy(9), by="operator-1"))
     assert foreign["code"] == "ROLE_DENIED"
     # the next version counts, and is recorded
-    restart(gate, "--risk-policy", write(gate, policy(3)))
-    held = [r.open for r in gate.records() if r.open.get("verb") == "risk-policy"]
+    own.start_gate("--risk-policy", write(own, policy(3)))
+    held = [r.open for r in own.records() if r.open.get("verb") == "risk-policy"]
     assert [item["version"] for item in held] == [2, 3]
 
 
-def test_a_role_has_to_be_in_both_policies(gate: RunningGate) -> None:
-    fresh(gate)
+def test_a_role_has_to_be_in_both_policies(own: RunningGate) -> None:
     only = policy(1, roles=("safety_officer",), tau_2=1_000)
-    restart(gate, "--risk-policy", write(gate, only))
-    planner = gate.client(ClientRole.PLANNER)
+    own.start_gate("--risk-policy", write(own, only))
+    planner = asking(own)
     reasons(planner)
-    with gate.client(ClientRole.OPERATOR, "console") as console:
+    with own.client(ClientRole.OPERATOR, "console") as console:
         (question,) = console.approvals()
         assert question.roles == ("safety_officer",)
-        said = console.answer(question, Verdict.APPROVE, key("supervisor-1"))
+        said = console.answer(question, Verdict.APPROVE, key("supervisor-1", own.trust))
         assert said["why_not"] == "ROLE_DENIED"
         assert reasons(planner) == ["APPROVAL_REQUIRED"]
-        console.answer(question, Verdict.APPROVE, key("safety-officer-1"))
+        console.answer(question, Verdict.APPROVE, key("safety-officer-1", own.trust))
     assert reasons(planner) == []
 
 
-def test_a_stricter_mission_stays_stricter(gate: RunningGate) -> None:
-    fresh(gate, tau_2=31)
+def test_a_stricter_mission_stays_stricter(own: RunningGate) -> None:
     mild = policy(1, tau_1=1_000, tau_2=1_000)
-    restart(gate, "--risk-policy", write(gate, mild))
-    planner = gate.client(ClientRole.PLANNER)
-    reasons(planner)
-    with gate.client(ClientRole.OPERATOR, "console") as console:
+    own.start_gate("--risk-policy", write(own, mild))
+    reasons(asking(own, tau_2=31))
+    with own.client(ClientRole.OPERATOR, "console") as console:
         (question,) = console.approvals()
         assert (question.required, question.risk) == (3, 35)
 

@@ -441,11 +441,19 @@ def lone_mission(gate: RunningGate, **changes: Any) -> None:
     gate.activate(gate.token(gate.mission(guards=[], grants=grants, closing=None, **changes)))
 
 
-@pytest.mark.parametrize("reason", ["EXPIRED", "LEASE_ENDED"])
-def test_the_timer_alone_sees_what_nobody_tells(reason: str) -> None:
+@pytest.fixture(scope="module")
+def lone() -> Iterator[RunningGate]:
+    """Yield a gate without an estimator, which tells nobody that somebody is silent."""
+    with RunningGate(estimator_silence_ms=0, planner_silence_ms=0) as made:
+        yield made
+
+
+@pytest.mark.parametrize(("number", "reason"), [(1, "EXPIRED"), (2, "LEASE_ENDED")])
+def test_the_timer_alone_sees_what_nobody_tells(
+    lone: RunningGate, number: int, reason: str
+) -> None:
     """No estimator, no order, no stop, and a controller that says nothing after it began."""
-    silent = {"estimator_silence_ms": 0, "planner_silence_ms": 0}  # nobody is told of either
-    with RunningGate(**silent) as gate, Line(gate.socket) as robot:
+    with lone.one_test(number) as gate, Line(gate.socket) as robot:
         robot.hello(ClientRole.CONTROLLER)
         ends = {"window": {"for": "3 s"}} if reason == "EXPIRED" else {"max": "1 s"}
         lone_mission(gate, **ends)
@@ -467,7 +475,7 @@ def test_the_timer_alone_sees_what_nobody_tells(reason: str) -> None:
         robot.say(Kind.STOOD, Stood(stops=1), item.id)
         asking.join(30)
         assert answer["steps"][0]["execution"]["reasons"] == [reason]
-        first, last = gate.records()[-2:]
+        first, last = gate.news()[-2:]
         assert (first.kind, last.kind) == ("decision", "outcome")  # and nothing in between
         assert last.open["stood_ms"] <= gate.config.stand_within_ms
         gaps = [1_000 * (b - a) for a, b in pairwise(looks)]

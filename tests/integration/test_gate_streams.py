@@ -25,6 +25,7 @@ from authguard_r.keys.setup import init_folder
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, until
+from fixtures.shared_gate import SharedGate
 from integration.test_gate_watching import sensors, speed, stands
 
 SITE = """
@@ -127,17 +128,24 @@ def yard() -> Path:
     return folder
 
 
-@pytest.fixture
-def gate(yard: Path) -> Iterator[RunningGate]:
-    running = RunningGate(
+@pytest.fixture(scope="module")
+def shared(yard: Path) -> Iterator[SharedGate]:
+    made = SharedGate(
         robot=True,
         estimator=True,
+        renew_within_ms=300,
         rid=RobotId("mule-1"),
         trust=yard / "trust",
         site=yard / "site.yaml",
         binding=yard / "binding.yaml",
     )
-    with running:
+    with made:
+        yield made
+
+
+@pytest.fixture
+def gate(shared: SharedGate, yard: Path) -> Iterator[RunningGate]:
+    with shared.one_test() as running:
         running.activate(running.token(running.mission(str(yard / "mission.yaml"))))
         yield running
 
@@ -146,7 +154,7 @@ class Stream:
     """An open stream and the client that proposed it."""
 
     def __init__(self, gate: RunningGate) -> None:
-        self.planner = gate.client(ClientRole.PLANNER, "driver", timeout_ms=20_000)
+        self.planner = gate.client(ClientRole.PLANNER, gate.mid, timeout_ms=20_000)
         self.answer: dict[str, Any] = {}
         self.ticket = self.planner.open_stream(DRIVE, key="drive")
 
@@ -161,7 +169,7 @@ class Stream:
 
 
 def records(gate: RunningGate) -> list[dict[str, Any]]:
-    return [{**r.open, **r.sealed} for r in gate.records() if r.kind == "stream"]
+    return [{**r.open, **r.sealed} for r in gate.news() if r.kind == "stream"]
 
 
 def test_samples_within_the_limits_are_forwarded_and_counted(gate: RunningGate) -> None:
@@ -177,7 +185,7 @@ def test_samples_within_the_limits_are_forwarded_and_counted(gate: RunningGate) 
     assert found[-1]["last"] is True
     extremes = [r["extremes"]["linear_mm_s"] for r in found if r["extremes"]]
     assert (min(e[0] for e in extremes), max(e[1] for e in extremes)) == (-300, 500)
-    decisions = [r for r in gate.records() if r.kind == "decision"]
+    decisions = [r for r in gate.news() if r.kind == "decision"]
     assert len(decisions) == 1  # one decision, whatever was sampled
     stands(gate)
 
@@ -185,7 +193,7 @@ def test_samples_within_the_limits_are_forwarded_and_counted(gate: RunningGate) 
 def test_a_stream_is_steered_while_its_proposal_is_waited_for(gate: RunningGate) -> None:
     async def drive() -> tuple[list[bool], dict[str, Any]]:
         told: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
-        made = await AsyncGateClient.connect(gate.socket, role=ClientRole.PLANNER, client="driver")
+        made = await AsyncGateClient.connect(gate.socket, role=ClientRole.PLANNER, client=gate.mid)
         async with made as planner:
             going = asyncio.ensure_future(planner.propose(DRIVE, on_step=told.put_nowait))
             stream = Steering(planner, Digest((await told.get())["ticket"]))
@@ -249,9 +257,9 @@ def test_a_stream_without_samples_stands_and_its_end_is_recorded(gate: RunningGa
 
 def test_a_stream_that_is_refused_is_none(gate: RunningGate) -> None:
     out_of_bounds = pytest.raises(RefusedError, match="PARAMETER_OUT_OF_BOUNDS")
-    with gate.client(ClientRole.PLANNER, "driver") as planner, out_of_bounds:
+    with gate.client(ClientRole.PLANNER, gate.mid) as planner, out_of_bounds:
         planner.open_stream(b"drive(linear=1.5, lateral=0, turn=0, seconds=50)")
-    assert not [r for r in gate.records() if r.kind == "stream"]
+    assert not [r for r in gate.news() if r.kind == "stream"]
 
 
 @pytest.mark.smoke

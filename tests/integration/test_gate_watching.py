@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """While the robot moves: whatever ends its permission, it stands within a bounded, recorded time.
 
-Real processes: gate, stop lane, robot, estimator. Each test breaks one thing in mid-motion and
-looks at the robot's sensors, at the log and at the registry afterwards. How soon it stands for
-each cause: test_gate_bounds.py
+Real processes: gate, stop lane, robot, estimator. Each test begins with a robot at home, breaks one
+thing in mid-motion and looks at the robot's sensors, at the log and at the registry afterwards. How
+soon it stands for each cause: test_gate_bounds.py
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
-from fixtures.gate_process import RunningGate, Told, order, until
+from fixtures.estimator import attesting
+from fixtures.gate_process import Line, RunningGate, Told, order, until
+from fixtures.shared_gate import SharedGate
 from integration.scripted_gate import Sensors
 
 GO = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
@@ -44,10 +46,11 @@ class Walk:
         self, gate: RunningGate, plan: bytes = GO, *, dialect: str = "openai", key: str = "walk"
     ) -> None:
         self.gate = gate
+        self.client = gate.mid or "walks"
         self._plan, self._dialect, self._key = plan, dialect, key
         self.answer: dict[str, Any] = {}
         self.error: BaseException | None = None
-        self._planner = gate.client(ClientRole.PLANNER, "walks")
+        self._planner = gate.client(ClientRole.PLANNER, self.client)
         self.released = threading.Event()
         self._thread = threading.Thread(target=self._ask, daemon=True)
         self._thread.start()
@@ -111,7 +114,7 @@ def stands(gate: RunningGate) -> None:
 
 def outcome(gate: RunningGate) -> Told:
     """Return the record of the one released action's end."""
-    found = until(lambda: [r for r in gate.records() if r.kind == "outcome"], "an outcome")
+    found = until(lambda: [r for r in gate.news() if r.kind == "outcome"], "an outcome")
     return found[-1]
 
 
@@ -128,9 +131,15 @@ def operator(gate: RunningGate) -> GateClient:
     return gate.client(ClientRole.OPERATOR, "orders")
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate(robot=FAST, estimator=True, renew_within_ms=300) as made:
+        yield made
+
+
 @pytest.fixture
-def gate() -> Iterator[RunningGate]:
-    with RunningGate(robot=FAST, estimator=True) as running:
+def gate(shared: SharedGate) -> Iterator[RunningGate]:
+    with shared.one_test() as running:
         yield running
 
 
@@ -140,17 +149,16 @@ def test_an_allowed_walk_arrives_and_the_log_says_so(gate: RunningGate) -> None:
     assert outcome(gate).decision == "succeeded"
 
 
-def test_a_robot_that_leaves_its_way_is_stopped() -> None:
-    with RunningGate(robot=(*FAST, "--drift-to", "station-103"), estimator=True) as gate:
-        gate.activate()
-        walk = Walk(gate)
-        step = walk.ended()
-        assert step["execution"]["outcome"] == "aborted"
-        assert "OUTSIDE_REGIONS" in step["execution"]["reasons"]
-        record = outcome(gate)
-        assert 0 <= record.open["stood_ms"] <= STAND_MS
-        print(f"drift: stood {record.open['stood_ms']} ms after it was found")
-        stands(gate)
+def test_a_robot_that_leaves_its_way_is_stopped(gate: RunningGate) -> None:
+    gate.restart_robot(*FAST, "--drift-to", "station-103")
+    gate.activate()
+    step = Walk(gate).ended()
+    assert step["execution"]["outcome"] == "aborted"
+    assert "OUTSIDE_REGIONS" in step["execution"]["reasons"]
+    record = outcome(gate)
+    assert 0 <= record.open["stood_ms"] <= STAND_MS
+    print(f"drift: stood {record.open['stood_ms']} ms after it was found")
+    stands(gate)
 
 
 def test_a_dead_controller_leaves_an_outcome_that_only_a_person_can_settle(
@@ -179,7 +187,7 @@ def test_an_operators_stop_suspends_until_a_signed_resume(gate: RunningGate) -> 
     step = walk.ended()
     assert step["execution"]["outcome"] == "aborted"
     stands(gate)
-    (stop,) = until(lambda: [r for r in gate.records() if r.kind == "stop"], "the stop's record")
+    (stop,) = until(lambda: [r for r in gate.news() if r.kind == "stop"], "the stop's record")
     assert stop.sealed["why"] == "somebody is in the way"
     assert stop.open["by"].endswith(".hand")
     with operator(gate) as person:
@@ -201,16 +209,21 @@ def test_a_planners_stop_is_counted_and_too_many_raise_an_alert(gate: RunningGat
             assert shy.stop("I am afraid")["stopped"] is True
 
     def alerted() -> bool:
-        return any(r.kind == "alert" and r.open["what"] == "planner stops" for r in gate.records())
+        return any(r.kind == "alert" and r.open["what"] == "planner stops" for r in gate.news())
 
     until(alerted, "the alert")
     with operator(gate) as person:
         assert person.status()["mission"]["status"] == "active"  # an alert takes no authority
 
 
+def own_gate(**given: Any) -> RunningGate:
+    """Return a gate that no other test has; it may run beside the shared one."""
+    return RunningGate(trust=scenarios.second_trust_folder(), **given)
+
+
 def test_refusals_in_a_row_raise_the_no_progress_alert_and_stop_the_robot() -> None:
     hijacked = (scenarios.HOSPITAL / "replies" / "03-hijacked-by-notice.json").read_bytes()
-    with RunningGate(robot=FAST, estimator=True, refusals=5) as gate:
+    with own_gate(simulate=True, refusals=5) as gate:
         gate.activate()
         with gate.client(ClientRole.PLANNER, "stubborn") as planner:
             for _ in range(5):
@@ -225,9 +238,9 @@ def test_refusals_in_a_row_raise_the_no_progress_alert_and_stop_the_robot() -> N
 
 def test_a_silent_planner_and_a_silent_estimator_raise_one_alert_each() -> None:
     quiet = {"planner_silence_ms": 500, "estimator_silence_ms": 500}
-    with RunningGate(robot=FAST, estimator=True, **quiet) as gate:
-        gate.activate()
-        gate.stop_process("estimator")
+    with own_gate(**quiet) as gate, Line(gate.socket).hello(ClientRole.CONTROLLER):
+        with attesting(gate):
+            gate.activate()
         with operator(gate) as person:
             until(lambda: len(person.status()["alerts"]) >= 2, "both alerts")
             time.sleep(1.5)  # silence that goes on is no news
@@ -254,7 +267,7 @@ def test_a_killed_gate_leaves_a_standing_robot_and_a_suspended_mission(gate: Run
             "the suspension",
         )
         (ticket,) = status["open"]
-        with gate.client(ClientRole.PLANNER, "walks") as planner:
+        with gate.client(ClientRole.PLANNER, walk.client) as planner:
             again = planner.propose(GO, dialect="openai", key="walk")
             assert again["repeated"] is True
             assert again["steps"][0]["execution"]["outcome"] is None  # nobody recorded how it ended
@@ -264,7 +277,7 @@ def test_a_killed_gate_leaves_a_standing_robot_and_a_suspended_mission(gate: Run
         person.command(settled)
         assert person.command(order(gate, mission, digest, Verb.RESUME))["status"] == "active"
     until(lambda: connected(gate), "the controller's return")
-    with gate.client(ClientRole.PLANNER, "walks") as planner:
+    with gate.client(ClientRole.PLANNER, walk.client) as planner:
         done = planner.propose(GO, dialect="openai", key="walk-2")
     assert done["steps"][0]["outcome"] == "accept", done
 
@@ -311,17 +324,17 @@ def test_a_second_gate_for_the_same_robot_is_refused(gate: RunningGate) -> None:
 def test_a_repeat_is_answered_from_what_is_recorded(gate: RunningGate) -> None:
     walk, _, _ = walking(gate)
     first = walk.ended()
-    with gate.client(ClientRole.PLANNER, "walks") as planner:
+    with gate.client(ClientRole.PLANNER, walk.client) as planner:
         again = planner.propose(GO, dialect="openai", key="walk")
         assert again["repeated"] is True
         assert again["steps"][0]["seq"] == first["seq"]
         assert again["steps"][0]["execution"] == first["execution"]
     gate.restart()
-    with gate.client(ClientRole.PLANNER, "walks") as planner:
+    with gate.client(ClientRole.PLANNER, walk.client) as planner:
         after = planner.propose(GO, dialect="openai", key="walk")
         assert after["repeated"] is True
         assert after["steps"][0]["execution"] == first["execution"]
         with pytest.raises(Exception, match="KEY_REUSED"):
             planner.propose(b"another plan", key="walk")
-    releases = [r for r in gate.records() if r.kind == "decision" and r.decision == "accept"]
+    releases = [r for r in gate.news() if r.kind == "decision" and r.decision == "accept"]
     assert len(releases) == len(json.loads(json.dumps(walk.answer))["steps"])

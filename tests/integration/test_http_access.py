@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 import socket
 import ssl
-import subprocess
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,21 +22,21 @@ from authguard_r.cli import call
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.setup import init_folder
 from authguard_r.wire.messages import Mode
-from fixtures import scenarios
+from fixtures import commands, scenarios
 from fixtures.decision_point import (
     BEARER,
     EVALUATION,
     GRANTED,
     TOKEN,
     Served,
+    options,
     server_certificate,
     serving,
     tls_words,
     token_file,
     trusting,
-    words,
 )
-from fixtures.gate_process import PATIENCE_S, RunningGate, environment, until
+from fixtures.gate_process import PATIENCE_S, RunningGate, until
 
 
 @pytest.fixture(scope="module")
@@ -229,22 +228,18 @@ def test_token_and_certificate_are_both_asked_for_where_both_are_configured(
                 assert client.get("/v1/status").status_code == status
 
 
-def ended(gate: RunningGate, *more: object, token: bool = True) -> tuple[int, str]:
+def refused(gate: RunningGate, *more: object, token: bool = True) -> tuple[int, str]:
     """Return exit code and message of a server that does not come."""
-    said = words(gate, *more, token=token)
-    env = environment(measured=False)
-    done = subprocess.run(
-        said, capture_output=True, timeout=PATIENCE_S, text=True, check=False, env=env
-    )
-    return done.returncode, done.stderr
+    done = commands.ended(*options(gate, *more, token=token))
+    return done.code, done.out + done.err
 
 
 def test_nothing_is_served_wider_than_this_machine_without_tls(gate: RunningGate) -> None:
     for address in ("0.0.0.0:0", "[::]:0", "192.0.2.1:0"):
-        code, said = ended(gate, "--listen", address)
+        code, said = refused(gate, "--listen", address)
         assert code == 4
         assert "--tls-cert" in said
-    code, said = ended(gate, "--listen", "0.0.0.0:0", *tls_words())
+    code, said = refused(gate, "--listen", "0.0.0.0:0", *tls_words())
     assert (code, "--url" in said) == (2, True)
 
 
@@ -261,7 +256,7 @@ def test_nothing_is_served_wider_than_this_machine_without_tls(gate: RunningGate
 def test_what_does_not_go_together_is_said(
     gate: RunningGate, more: Any, token: bool, place: str
 ) -> None:
-    code, said = ended(gate, *more, token=token)
+    code, said = refused(gate, *more, token=token)
     assert (code, place in said) == (2, True)
 
 
@@ -270,9 +265,9 @@ def test_a_secret_that_others_can_read_is_none(gate: RunningGate, tmp_path: Path
     open_key = tmp_path / "open.key"
     shutil.copy(key, open_key)
     open_key.chmod(0o640)
-    code, said = ended(gate, "--tls-cert", cert, "--tls-key", open_key)
+    code, said = refused(gate, "--tls-cert", cert, "--tls-key", open_key)
     assert (code, "chmod 600" in said) == (5, True)
-    code, said = ended(gate, "--tls-cert", cert, "--tls-key", token_file(gate))
+    code, said = refused(gate, "--tls-cert", cert, "--tls-key", token_file(gate))
     assert (code, "--tls-cert" in said) == (4, True)
 
 
@@ -285,16 +280,16 @@ def test_a_set_up_of_two_roots_is_served_by_token_alone(gate: RunningGate, tmp_p
         algorithms=(Algorithm.ED25519, Algorithm.ML_DSA_65),
     )
     more = ("--trust", both, *tls_words(), "--client-certificates")
-    code, said = ended(gate, *more, token=False)
+    code, said = refused(gate, *more, token=False)
     assert (code, "--token-file" in said) == (5, True)
 
 
 def test_a_gate_of_another_root_or_mode_is_not_asked(gate: RunningGate, tmp_path: Path) -> None:
     foreign = tmp_path / "trust"
     init_folder(foreign, demo_members(scenarios.site(), (scenarios.RID,)), now=datetime.now(UTC))
-    assert ended(gate, "--trust", foreign)[0] == 4
-    assert ended(gate, "--robot", scenarios.OTHER)[0] == 4
-    code, said = ended(gate, "--shadow")
+    assert refused(gate, "--trust", foreign)[0] == 4
+    assert refused(gate, "--robot", scenarios.OTHER)[0] == 4
+    code, said = refused(gate, "--shadow")
     assert (code, "enforce" in said) == (1, True)
     with RunningGate(mode=Mode.SHADOW, simulate=True, rid=scenarios.OTHER) as shadow:
-        assert ended(shadow)[0] == 1
+        assert refused(shadow)[0] == 1

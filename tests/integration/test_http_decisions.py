@@ -36,7 +36,7 @@ ELSEWHERE = question("navigate_to", scenarios.OTHER, destination="Pharmacy")
 
 @pytest.fixture(scope="module")
 def house() -> Iterator[tuple[RunningGate, Served]]:
-    with RunningGate(robot=True, estimator=True) as gate:
+    with RunningGate(simulate=True) as gate:
         gate.activate()
         with serving(gate) as served:
             ready = lambda: served.post(EVALUATION, GRANTED).json()["decision"]  # noqa: E731

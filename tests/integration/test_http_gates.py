@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decision points whose gates come, go, carry out, ask people or only watch: a gate for each test.
+"""Decision points whose gates come, go, carry out, ask people or only watch.
 
 Source: docs/spec/http.md
 """
@@ -9,10 +9,11 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import httpx2
+import pytest
 
 from authguard_r.cli import call
 from authguard_r.core.mission import Mission
@@ -31,6 +32,7 @@ from fixtures.decision_point import (
     starts,
 )
 from fixtures.gate_process import PATIENCE_S, RunningGate, until
+from fixtures.shared_gate import SharedGate
 
 SCOPE = "DESTINATION_OUT_OF_SCOPE"
 SCAN = {"tool": "scan", "arguments": {}}
@@ -42,8 +44,19 @@ INTO_ISOLATION = {
 ELSEWHERE = question("navigate_to", scenarios.OTHER, destination="Pharmacy")
 
 
-def test_a_gate_that_is_away_is_no_permit_and_comes_back(tmp_path: Path) -> None:
-    with RunningGate(robot=True, estimator=True) as gate:
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate(simulate=True) as made:
+        yield made
+
+
+def own_gate(**given: Any) -> RunningGate:
+    """Return a gate that no other test has; it may run beside the shared one."""
+    return RunningGate(trust=scenarios.second_trust_folder(), **given)
+
+
+def test_a_gate_that_is_away_is_no_permit_and_comes_back() -> None:
+    with own_gate(simulate=True) as gate:
         gate.activate()
         with serving(gate) as served:
             until(lambda: served.post(EVALUATION, GRANTED).json()["decision"], "the mission")
@@ -68,15 +81,15 @@ def test_a_gate_that_is_away_is_no_permit_and_comes_back(tmp_path: Path) -> None
             until(lambda: served.post(EVALUATION, GRANTED).json()["decision"], "the gate again")
 
 
-def test_without_a_mission_nothing_is_permitted(tmp_path: Path) -> None:
-    with RunningGate(simulate=True) as gate, serving(gate) as served:
+def test_without_a_mission_nothing_is_permitted() -> None:
+    with own_gate(simulate=True) as gate, serving(gate) as served:
         said = served.post(EVALUATION, GRANTED).json()
         assert (said["decision"], said["context"]["reasons"]) == (False, ["NO_ACTIVE_MISSION"])
         assert served.get("/v1/mission").json()["mission"] is None
 
 
 def test_a_server_may_be_there_before_its_gate() -> None:
-    with RunningGate(robot=True, estimator=True) as gate:
+    with own_gate(simulate=True) as gate:
         gate.stop_process("gate")
         with serving(gate) as served:
             assert served.post(EVALUATION, GRANTED).status_code == 503
@@ -92,8 +105,8 @@ def propose(served: Served, body: Any, *keys: str) -> httpx2.Response:
         return client.post("/v1/proposals", json=body, headers=headers)
 
 
-def test_what_is_carried_out_counts_and_is_carried_out_once() -> None:
-    with RunningGate(robot=True, estimator=True) as gate:
+def test_what_is_carried_out_counts_and_is_carried_out_once(shared: SharedGate) -> None:
+    with shared.one_test() as gate:
         gate.activate()
         with serving(gate, "--propose") as served:
             until(lambda: served.post(EVALUATION, GRANTED).json()["decision"], "the mission")
@@ -121,7 +134,7 @@ def test_what_is_carried_out_counts_and_is_carried_out_once() -> None:
 
 def test_a_second_proposal_is_not_kept_waiting() -> None:
     """Whoever gave up waiting would have it carried out all the same."""
-    with RunningGate(robot=True, estimator=True) as gate:
+    with own_gate(robot=True, estimator=True) as gate:
         gate.activate()
         with serving(gate, "--propose") as served:
             until(lambda: served.post(EVALUATION, GRANTED).json()["decision"], "the mission")
@@ -161,10 +174,10 @@ def asks(gate: RunningGate) -> Mission:
     return gate.mission(grants=grants, limits={})
 
 
-def test_open_approval_requests_are_shown_and_cannot_be_answered_here() -> None:
-    with RunningGate(robot=True, estimator=True, refusals=0) as gate:
+def test_open_approval_requests_are_shown_and_cannot_be_answered_here(shared: SharedGate) -> None:
+    with shared.one_test() as gate:
         gate.activate(gate.token(asks(gate)))
-        planner = gate.client(ClientRole.PLANNER)
+        planner = gate.client(ClientRole.PLANNER, shared.name)
         with serving(gate) as served:
             wanted = question("navigate_to", destination="Isolation Room", speed=0.8)
 
@@ -187,7 +200,7 @@ def test_open_approval_requests_are_shown_and_cannot_be_answered_here() -> None:
 
 
 def test_in_shadow_mode_everything_goes_on_and_is_noted(capsys: Any) -> None:
-    with RunningGate(mode=Mode.SHADOW, simulate=True) as gate:
+    with own_gate(mode=Mode.SHADOW, simulate=True) as gate:
         gate.activate()
         with serving(gate, "--shadow") as served:
             would = lambda: served.post(EVALUATION, question("scan")).json()["context"]["would"]  # noqa: E731

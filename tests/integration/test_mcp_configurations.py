@@ -24,8 +24,8 @@ from mcp import Client, StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
 
 from fixtures import scenarios
-from fixtures.estimator import attesting
 from fixtures.gate_process import AUTHGUARD, RunningGate
+from fixtures.shared_gate import SharedGate
 
 SERVER = scenarios.ROOT / "tests" / "programs" / "courier_mcp_server.py"
 PAGE = (scenarios.ROOT / "docs" / "howto" / "mcp.md").read_text()
@@ -48,9 +48,15 @@ STARTED = {name: e for name, e in ENTRIES.items() if e.get("command") == "authgu
 REACHED = {name: e for name, e in ENTRIES.items() if "url" in e}
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
+
+
 @pytest.fixture
-def gate() -> Iterator[RunningGate]:
-    with RunningGate() as made, attesting(made):
+def gate(shared: SharedGate) -> Iterator[RunningGate]:
+    with shared.one_test() as made:
         made.activate()
         yield made
 
@@ -69,13 +75,20 @@ def filled(gate: RunningGate, words: list[str], pins: Path, calls: Path) -> list
     return [*options, "--", *server(calls)]
 
 
-def pinned(gate: RunningGate, calls: Path, pins: Path) -> None:
-    words = ["mcp-tools", "--site", gate.site, "--binding", gate.binding, "--out", pins]
-    subprocess.run([AUTHGUARD, *words, "--", *server(calls)], capture_output=True, check=False)
+@pytest.fixture(scope="module")
+def pins(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the file with the server's tools, as the how-to has it made."""
+    folder = tmp_path_factory.mktemp("pins")
+    words = ["mcp-tools", "--site", scenarios.HOSPITAL / "site.yaml"]
+    words += ["--binding", scenarios.HOSPITAL / "binding.yaml", "--out", folder / "tools.json"]
+    words += ["--", *server(folder / "calls.jsonl")]
+    subprocess.run([AUTHGUARD, *words], capture_output=True, check=False)
+    return folder / "tools.json"
 
 
 async def guarded(client: Client, calls: Path) -> None:
     """A granted call arrives and a hijacked one does not."""
+    calls.write_text("")
     assert not (await client.call_tool("scan", {})).is_error
     assert (await client.call_tool("navigate_to", {"destination": "Isolation Room"})).is_error
     assert [json.loads(line)["tool"] for line in calls.read_text().splitlines()] == ["scan"]
@@ -88,10 +101,9 @@ def test_the_page_has_a_block_for_each_kind_of_client() -> None:
 
 @pytest.mark.parametrize("name", STARTED)
 def test_a_client_that_starts_the_gateway_is_guarded(
-    name: str, gate: RunningGate, tmp_path: Path
+    name: str, gate: RunningGate, pins: Path, tmp_path: Path
 ) -> None:
-    calls, pins = tmp_path / "calls.jsonl", tmp_path / "tools.json"
-    pinned(gate, calls, pins)
+    calls = tmp_path / "calls.jsonl"
     words = filled(gate, STARTED[name]["args"], pins, calls)
     started = StdioServerParameters(command=str(AUTHGUARD), args=words)
 
@@ -102,30 +114,28 @@ def test_a_client_that_starts_the_gateway_is_guarded(
     asyncio.run(talk())
 
 
-@pytest.mark.parametrize("name", REACHED)
-def test_a_client_that_reaches_the_gateway_is_guarded(
-    name: str, gate: RunningGate, tmp_path: Path
-) -> None:
+def test_a_client_that_reaches_the_gateway_is_guarded(gate: RunningGate, tmp_path: Path) -> None:
     calls, token = tmp_path / "calls.jsonl", tmp_path / "token"
     token.write_text(TOKEN)
     token.chmod(0o600)
     words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
     words += ["--binding", gate.binding, "--trust", gate.trust]
     words += ["--listen", "127.0.0.1:0", "--token-file", token, "--", *server(calls)]
-    entry = REACHED[name]
     with subprocess.Popen(
         [str(word) for word in (AUTHGUARD, *words)], stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             assert process.stderr is not None
             said = next(line for line in process.stderr if "serving" in line).split()[1]
-            url = re.sub(r"^http://127\.0\.0\.1:\d+", said.removesuffix("/mcp"), entry["url"])
+            here = said.removesuffix("/mcp")
 
-            async def talk() -> None:
+            async def talk(entry: dict[str, Any]) -> None:
+                url = re.sub(r"^http://127\.0\.0\.1:\d+", here, entry["url"])
                 async with reached(url, headers_of(entry)) as client:
                     await guarded(client, calls)
 
-            asyncio.run(talk())
+            for entry in REACHED.values():
+                asyncio.run(talk(entry))
         finally:
             process.terminate()
 

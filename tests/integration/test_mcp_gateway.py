@@ -28,7 +28,7 @@ import httpx2
 import mcp_types as types
 import pytest
 import yaml
-from mcp import Client, MCPError, StdioServerParameters, stdio_client
+from mcp import Client, StdioServerParameters, stdio_client
 from mcp.client.streamable_http import streamable_http_client
 from mcp_types.methods import SERVER_NOTIFICATIONS, SERVER_REQUESTS, SPEC_CLIENT_METHODS
 
@@ -56,10 +56,11 @@ from authguard_r.tools.planner import Asked
 from authguard_r.tools.server import CallError
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
-from fixtures.estimator import Attested, attesting
+from fixtures.estimator import attesting
 from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, authguard, environment, until
-from fixtures.guarded_tools import often
+from fixtures.guarded_tools import confirm_stop, often
 from fixtures.scenarios import ROOT
+from fixtures.shared_gate import SharedGate
 from programs import courier_mcp_server
 from programs.courier_mcp_server import FIELDS
 
@@ -97,13 +98,41 @@ UNASKED: dict[str, dict[str, Any]] = {
 }
 
 
-class House:
-    """A gate whose robot is driven through an MCP server."""
+class Served:
+    """A courier's server that all tests reach over HTTP, and the file in which its calls are."""
 
-    def __init__(self, gate: RunningGate, where: Attested, folder: Path) -> None:
-        self.gate, self.where, self.folder = gate, where, folder
+    def __init__(self, folder: Path) -> None:
         self.calls_file = folder / "calls.jsonl"
-        self.calls_file.touch()
+        self.process = subprocess.Popen(
+            [sys.executable, str(SERVER), str(self.calls_file), "http"],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.url = f"http://127.0.0.1:{int(self.process.stdout.readline())}/mcp"
+
+    def end(self) -> None:
+        with self.process:
+            self.process.terminate()
+
+
+class House:
+    """A gate whose robot is driven through an MCP server.
+
+    Args:
+        gate: that gate.
+        folder: for files of the test.
+        name: the planner's.
+        served: a server that runs; a gateway of this process uses it as long as no fault is wanted.
+    """
+
+    def __init__(
+        self, gate: RunningGate, folder: Path, name: str = "mcp", served: Served | None = None
+    ) -> None:
+        self.gate, self.folder, self.name = gate, folder, name
+        self.calls_file = served.calls_file if served else folder / "calls.jsonl"
+        self.calls_file.write_text("")
+        self._url = served.url if served else None
         self.unasked: list[dict[str, Any]] = []
 
     def calls(self) -> list[dict[str, Any]]:
@@ -114,7 +143,8 @@ class House:
         """Return the gateway's command, as a planner's host would start it."""
         gate = self.gate
         words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
-        words += ["--binding", gate.binding, "--trust", gate.trust, *more, "--"]
+        words += ["--binding", gate.binding, "--trust", gate.trust, "--client", self.name]
+        words += [*more, "--"]
         return authguard(*words, sys.executable, SERVER, self.calls_file, *faults)
 
     def client(self, *faults: str, era: str = "auto", more: tuple[str, ...] = ()) -> Client:
@@ -129,7 +159,7 @@ class House:
 
     @asynccontextmanager
     async def talking(self, *faults: str, era: str = "auto", **more: Any) -> AsyncIterator[Client]:
-        """Yield a client of a gateway in this process; its server is a process all the same."""
+        """Yield a client of a gateway in this process; its server is another one all the same."""
         gateway = Gateway(self.setup(*faults, **more))
         async with gateway.running() as front, Client(front.server, mode=era) as client:
             yield client
@@ -139,11 +169,14 @@ class House:
         gate = self.gate
         site = read_site(gate.site)
         server = (sys.executable, str(SERVER), str(self.calls_file), *faults)
+        if self._url and not faults:
+            server = (self._url,)
         return Setup(
             robot=gate.rid,
             run=gate.run,
             site=site,
             trust=lambda: read_trust(gate.trust),
+            client=self.name,
             **{"server": server, "binding": self.binding(site), **more},
         )
 
@@ -192,11 +225,35 @@ class House:
         return asyncio.run(talk())
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[SharedGate]:
+    with SharedGate() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    made = Served(tmp_path_factory.mktemp("served"))
+    try:
+        yield made
+    finally:
+        made.end()
+
+
 @pytest.fixture
-def house(tmp_path: Path) -> Iterator[House]:
-    with RunningGate() as gate, attesting(gate) as where:
+def house(shared: SharedGate, served: Served, tmp_path: Path) -> Iterator[House]:
+    with shared.one_test() as gate:
         gate.activate()
-        yield House(gate, where, tmp_path)
+        yield House(gate, tmp_path, shared.name, served)
+
+
+@contextmanager
+def own_house(folder: Path, **given: Any) -> Iterator[House]:
+    """Yield a gate that no other test has."""
+    trust = scenarios.second_trust_folder()
+    with RunningGate(trust=trust, **given) as gate, attesting(gate):
+        gate.activate()
+        yield House(gate, folder)
 
 
 def run(talk: Callable[[], Awaitable[None]]) -> None:
@@ -298,13 +355,11 @@ def test_what_a_tool_shows_is_noted_before_the_planner_is_told(house: House) -> 
 
 @pytest.mark.parametrize(
     ("faults", "outcome"),
-    [(("dies",), "unknown"), (("error",), "failed"), (("huge",), "succeeded")],
+    [(("error",), "failed"), (("huge",), "succeeded")],
 )
 def test_a_server_that_fails_is_told_as_it_is(
     house: House, faults: tuple[str, ...], outcome: str
 ) -> None:
-    if "dies" in faults:  # at the second call
-        house.calls_file.write_text('{"tool": "before", "arguments": {}}\n')
     (answer,) = house.ask(("scan", {}), faults=faults)
     assert answer.is_error
     assert verdict(answer)["execution"] == outcome
@@ -325,18 +380,33 @@ def test_the_same_key_is_the_same_call(house: House) -> None:
     assert len(house.calls()) == 1
 
 
-def test_a_server_whose_tools_changed_is_not_used(house: House, tmp_path: Path) -> None:
+def test_a_server_whose_tools_changed_is_not_used(
+    house: House, capfd: pytest.CaptureFixture[str]
+) -> None:
     """It cannot speak to the planner in new descriptions, and no call of it is carried out."""
-    pins = tmp_path / "tools.json"
+    pins = house.folder / "tools.json"
     pins.write_bytes(pinned())
+    said: list[str] = []
 
-    async def talk(*faults: str) -> None:
+    def changed() -> bool:
+        said.append(capfd.readouterr().err)
+        lines = [json.loads(line) for line in "".join(said).splitlines()]
+        return any((line["event"], line.get("tools")) == ("changed", "scan_more") for line in lines)
+
+    async def begin(*faults: str) -> None:
         async with house.talking(*faults, pins=read_pins(pins)) as client:
             assert not (await client.call_tool("scan", {})).is_error
 
+    async def talk() -> None:
+        await begin()
+        beginning = asyncio.create_task(begin("renamed"))
+        await asyncio.to_thread(until, changed, "that the gateway sees another tool")
+        assert not beginning.done()
+        beginning.cancel()
+        with suppress(asyncio.CancelledError):
+            await beginning
+
     run(talk)
-    with pytest.raises((MCPError, ExceptionGroup)):
-        asyncio.run(talk("renamed"))
     assert len(house.calls()) == 1
 
 
@@ -422,9 +492,8 @@ async def fronted(house: House, front: str) -> AsyncIterator[Client]:
                 yield client
 
 
-@pytest.mark.parametrize("era", ERAS)
-def test_over_http_it_is_the_same_front(house: House, era: str) -> None:
-    async def talk(url: str, token: str) -> None:
+def test_over_http_it_is_the_same_front(house: House) -> None:
+    async def talk(url: str, token: str, era: str) -> None:
         async with http_client(url, token, era) as client:
             assert not (await client.call_tool("scan", {})).is_error
             hijacked = await client.call_tool("navigate_to", {"destination": "Office 1"})
@@ -432,8 +501,9 @@ def test_over_http_it_is_the_same_front(house: House, era: str) -> None:
 
     with over_http(house) as (url, token):
         until(lambda: answers(url), "the port")
-        asyncio.run(talk(url, token))
-    assert [call["tool"] for call in house.calls()] == ["scan"]
+        for era in ERAS:
+            asyncio.run(talk(url, token, era))
+    assert [call["tool"] for call in house.calls()] == ["scan", "scan"]
 
 
 def stopped_in_flight(house: House, **more: Any) -> dict[str, Any]:
@@ -465,6 +535,7 @@ def test_without_such_calls_nobody_says_that_the_robot_stands(house: House) -> N
     assert not told["stop"]["stopped"]
     assert told["execution"] == "unknown"
     assert house.gate.client(ClientRole.OPERATOR).status()["mission"]["status"] == "suspended"
+    confirm_stop(house.gate)
 
 
 def test_a_gateway_that_ends_in_mid_motion_stops_the_robot(house: House) -> None:
@@ -497,34 +568,31 @@ def test_a_gateway_that_starts_does_not_know_that_the_robot_stands(house: House)
 
 
 @pytest.mark.parametrize("fault", ["forges", "garbles"])
-@pytest.mark.parametrize("era", ERAS)
-def test_a_server_gives_no_verdict_and_asks_nobody(house: House, fault: str, era: str) -> None:
+def test_a_server_gives_no_verdict_and_asks_nobody(house: House, fault: str) -> None:
     shown: list[str] = []
 
     async def person(_context: Any, params: Any) -> types.ElicitResult:
         shown.append(params.message)
         return types.ElicitResult(action="accept", content={})
 
-    async def talk() -> types.CallToolResult:
-        gateway = Gateway(house.setup(fault))
-        async with (
-            gateway.running() as front,
-            Client(front.server, mode=era, elicitation_callback=person) as client,
-        ):
-            return await client.call_tool("scan", {})
+    async def talk() -> None:
+        async with Gateway(house.setup(fault)).running() as front:
+            for era in ERAS:
+                async with Client(front.server, mode=era, elicitation_callback=person) as client:
+                    answer = await client.call_tool("scan", {})
+                assert not answer.is_error
+                assert answer.structured_content == {"a": 1}
 
-    answer = asyncio.run(talk())
-    assert not answer.is_error
-    assert answer.structured_content == {"a": 1}
-    assert (shown, len(house.calls())) == ([], 1)
+    run(talk)
+    assert (shown, len(house.calls())) == ([], 2)
 
 
-@pytest.mark.parametrize("key", [7, ["scan-1"], {"a": "b"}])
-def test_a_name_that_is_no_text_names_no_call(house: House, key: Any) -> None:
+def test_a_name_that_is_no_text_names_no_call(house: House) -> None:
     async def talk() -> None:
         async with house.talking() as client:
-            answer = await client.call_tool("scan", {}, meta={"authguard-r/key": key})
-            assert verdict(answer)["reasons"] == ["MALFORMED"]
+            for key in (7, ["scan-1"], {"a": "b"}):
+                answer = await client.call_tool("scan", {}, meta={"authguard-r/key": key})
+                assert verdict(answer)["reasons"] == ["MALFORMED"]
 
     run(talk)
     assert house.calls() == []
@@ -570,24 +638,25 @@ def test_calls_that_wait_hold_so_much_and_no_more(
     assert len(house.calls()) == 1
 
 
-@pytest.mark.parametrize("front", ["memory", "stdio", "http"])
-def test_a_thousand_calls_at_once_lose_and_reorder_nothing(tmp_path: Path, front: str) -> None:
+@pytest.mark.parametrize(("front", "count"), [("memory", 1_000), ("stdio", 200), ("http", 200)])
+def test_calls_at_once_lose_and_reorder_nothing(
+    shared: SharedGate, tmp_path: Path, front: str, count: int
+) -> None:
     """First come, first served: the log's order is the order in which they came in.
 
     Over HTTP each call is a request of its own, and nobody says in which order those arrive.
     """
-    count = 1_000
 
     async def talk(house: House) -> list[types.CallToolResult]:
         async with fronted(house, front) as client:
             calls = (client.call_tool("scan", {}) for _ in range(count))
             return await asyncio.gather(*calls)
 
-    with RunningGate() as gate, attesting(gate) as where:
+    with shared.one_test() as gate:
         gate.activate(often(gate, count=count))
-        house = House(gate, where, tmp_path)
+        house = House(gate, tmp_path, shared.name)
         answers = asyncio.run(talk(house))
-        why = {r.seq: r.reasons for r in gate.records() if r.kind == "outcome" and r.reasons}
+        why = {r.seq: r.reasons for r in gate.news() if r.kind == "outcome" and r.reasons}
     assert [answer for answer in answers if answer.is_error] == [], why
     order = [verdict(answer)["seq"] for answer in answers]
     assert len(set(order)) == count
@@ -604,33 +673,29 @@ def test_what_is_no_text_passes_and_every_word_in_it_is_noted(house: House) -> N
     assert "station-102" in json.dumps(record.sealed["influences"])
 
 
-def demanding(folder: Path, demand: dict[str, Any]) -> Path:
-    """Return the courier's binding, with what a scan's answer has to say."""
+def demanding(folder: Path, **demands: dict[str, Any]) -> Path:
+    """Return the courier's binding, with what the answers of tools have to say."""
     plain = yaml.safe_load((scenarios.HOSPITAL / "binding.yaml").read_text())
-    plain["tools"]["scan"]["succeeds"] = demand
+    for name, demand in demands.items():
+        plain["tools"][name]["succeeds"] = demand
     path = folder / "binding.yaml"
     path.write_text(yaml.safe_dump(plain))
     return path
 
 
-@pytest.mark.parametrize(
-    ("demand", "faults", "execution"),
-    [
-        ({"success": True}, ("says-no",), "failed"),
-        ({"success.deeper": True}, (), "failed"),
-        ({"success": True}, (), "succeeded"),
-    ],
-)
-def test_an_answer_has_to_say_what_the_binding_demands(
-    tmp_path: Path, demand: dict[str, Any], faults: tuple[str, ...], execution: str
-) -> None:
+def test_an_answer_has_to_say_what_the_binding_demands(tmp_path: Path) -> None:
     """No error, and yet not done: a server that says `success: false` has failed."""
-    with RunningGate(binding=demanding(tmp_path, demand)) as gate, attesting(gate) as where:
-        gate.activate()
-        house = House(gate, where, tmp_path)
-        (answer,) = house.ask(("scan", {}), faults=faults)
-    assert answer.is_error is (execution == "failed")
-    assert verdict(answer)["execution"] == execution
+    demands = {"scan": {"success": True}, "navigate_to": {"success.deeper": True}}
+    scan, go = ("scan", {}), ("navigate_to", {"destination": "Pharmacy"})
+    with own_house(tmp_path, binding=demanding(tmp_path, **demands)) as house:
+        for called, faults, execution in (
+            (scan, ("says-no",), "failed"),
+            (scan, (), "succeeded"),
+            (go, (), "failed"),
+        ):
+            (answer,) = house.ask(called, faults=faults)
+            assert answer.is_error is (execution == "failed")
+            assert verdict(answer)["execution"] == execution
 
 
 def test_a_gateway_whose_words_are_not_the_gates_calls_nothing(
@@ -638,7 +703,7 @@ def test_a_gateway_whose_words_are_not_the_gates_calls_nothing(
 ) -> None:
     """What the gate releases would be called as something that nobody decided."""
     site = read_site(house.gate.site)
-    path = demanding(tmp_path, {"success": True})
+    path = demanding(tmp_path, scan={"success": True})
     other = load_binding(binding_source(str(path)), site=site, where="other")
     house.calls_file.write_text("")
 
@@ -711,26 +776,10 @@ def test_what_a_front_raises_is_raised_as_it_is(house: House) -> None:
     assert isinstance(first_of(failed.value), LookupError)
 
 
-def test_a_server_is_reached_over_http_too(house: House) -> None:
-    words = [sys.executable, str(SERVER), str(house.calls_file), "http"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            url = f"http://127.0.0.1:{int(process.stdout.readline())}/mcp"
-
-            async def talk() -> None:
-                async with house.talking(server=(url,)) as client:
-                    assert not (await client.call_tool("scan", {})).is_error
-
-            run(talk)
-        finally:
-            process.terminate()
-    assert len(house.calls()) == 1
-
-
-def test_the_commands_say_what_becomes_of_each_tool(house: House, tmp_path: Path) -> None:
+def test_the_commands_say_what_becomes_of_each_tool(tmp_path: Path) -> None:
     pins = tmp_path / "pins.json"
-    words = ["mcp-tools", "--site", str(house.gate.site), "--binding", str(house.gate.binding)]
+    words = ["mcp-tools", "--site", str(scenarios.HOSPITAL / "site.yaml")]
+    words += ["--binding", str(scenarios.HOSPITAL / "binding.yaml")]
     words += ["--out", str(pins), "--json", "--", sys.executable, str(SERVER), "calls.jsonl"]
     done = subprocess.run(
         authguard(*words),
@@ -781,8 +830,8 @@ def test_a_list_of_tools_that_is_none_keeps_a_server_out(house: House, kind: str
         asyncio.run(listed(odd(kind), {}))
 
 
-def test_a_gate_that_is_gone_is_told_and_found_again(house: House) -> None:
-    async def talk() -> None:
+def test_a_gate_that_is_gone_is_told_and_found_again(tmp_path: Path) -> None:
+    async def talk(house: House) -> None:
         async with house.talking() as client:
             assert not (await client.call_tool("scan", {})).is_error
             await asyncio.to_thread(house.gate.stop_process, "gate")
@@ -795,12 +844,13 @@ def test_a_gate_that_is_gone_is_told_and_found_again(house: House) -> None:
             back = await client.call_tool("open_every_door", {})
             assert verdict(back)["reasons"] == ["TOOL_UNKNOWN"]
 
-    run(talk)
+    with own_house(tmp_path) as house:
+        run(lambda: talk(house))
     assert len(house.calls()) == 1
 
 
-def test_a_gate_that_is_killed_in_mid_call_is_told(house: House) -> None:
-    async def talk() -> None:
+def test_a_gate_that_is_killed_in_mid_call_is_told(tmp_path: Path) -> None:
+    async def talk(house: House) -> None:
         async with house.talking("hangs") as client:
             going = asyncio.create_task(client.call_tool("scan", {}))
             await asyncio.to_thread(until, house.calls, "the call")
@@ -809,7 +859,8 @@ def test_a_gate_that_is_killed_in_mid_call_is_told(house: House) -> None:
             assert told.is_error
             assert verdict(told)["reasons"] == ["STORE_UNAVAILABLE"]
 
-    run(talk)
+    with own_house(tmp_path) as house:
+        run(lambda: talk(house))
     assert len(house.calls()) == 1
 
 
@@ -817,6 +868,7 @@ def test_a_stop_call_that_is_not_answered_stops_nothing(house: House) -> None:
     told = stopped_in_flight(house, stops=(Call("wait", {"seconds": 1}, "stop"),))
     assert not told["stop"]["stopped"]
     assert told["execution"] == "unknown"
+    confirm_stop(house.gate)
 
 
 def test_an_answer_that_is_none_is_an_error_beside_its_verdict() -> None:
@@ -833,14 +885,13 @@ def test_words_that_are_no_text_are_no_call(house: House) -> None:
     assert house.calls() == []
 
 
-def test_without_its_server_a_body_begins_nothing_and_stands(house: House) -> None:
-    site = read_site(house.gate.site)
-    binding = house.binding(site)
+def test_without_its_server_a_body_begins_nothing_and_stands() -> None:
+    site, binding = scenarios.site(), scenarios.binding()
     means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
 
     async def talk() -> None:
         upstream = Upstream(("x",), pins=None, environment={}, log=Log(), changed=lambda: None)
-        body = ToolBody(house.gate.rid, upstream, means, lambda: None)
+        body = ToolBody(scenarios.RID, upstream, means, lambda: None)
         with pytest.raises(ControllerError, match="not there"):
             body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         with pytest.raises(CallError):
@@ -871,10 +922,9 @@ def test_in_shadow_mode_calls_go_as_they_went_and_the_gate_says_what_it_would_do
                 assert not answer.is_error
                 assert (verdict(answer)["outcome"], verdict(answer)["shadow"]) == (outcome, True)
 
-    with RunningGate(mode=Mode.SHADOW) as gate, attesting(gate) as where:
-        gate.activate()
-        house = House(gate, where, tmp_path)
+    with own_house(tmp_path, mode=Mode.SHADOW) as house:
         run(lambda: talk(house))
+        gate = house.gate
         words = ("audit", "show", gate.store, "--would-refuse", "--json")
         gate.stop_process("gate")
         done = subprocess.run([AUTHGUARD, *words], capture_output=True, text=True, check=True)
@@ -929,9 +979,9 @@ def called(words: list[str]) -> tuple[int, str]:
     return code, both.getvalue()
 
 
-def test_a_tool_that_only_changes_what_the_robot_believes_is_hidden(house: House) -> None:
-    site = read_site(house.gate.site)
-    assert fate("relocalize", house.binding(site), site).startswith("hidden: it changes")
+def test_a_tool_that_only_changes_what_the_robot_believes_is_hidden() -> None:
+    told = fate("relocalize", scenarios.binding(), scenarios.site())
+    assert told.startswith("hidden: it changes")
 
 
 def test_in_shadow_mode_a_server_that_dies_is_told_as_it_is(tmp_path: Path) -> None:
@@ -941,6 +991,5 @@ def test_in_shadow_mode_a_server_that_dies_is_told_as_it_is(tmp_path: Path) -> N
             answer = await client.call_tool("scan", {})
             assert answer.is_error
 
-    with RunningGate(mode=Mode.SHADOW) as gate, attesting(gate) as where:
-        house = House(gate, where, tmp_path)
+    with own_house(tmp_path, mode=Mode.SHADOW) as house:
         run(lambda: talk(house))

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -42,7 +43,7 @@ from authguard_r.wire.messages import (
     Mode,
     Renew,
 )
-from fixtures import scenarios
+from fixtures import commands, scenarios
 from fixtures.gate_process import authguard, environment
 from integration import scripted_gate
 from integration.scripted_gate import (
@@ -93,17 +94,23 @@ class House:
         self.processes.append(process)
         return process
 
+    def robot_words(self, *options: object) -> list[object]:
+        """Return the robot's command, without the program."""
+        words = ["robot", "--site", self.folder / "site.yaml", "--robot", scenarios.RID]
+        return [*words, "--run", self.run, "--trust", self.trust, "--json", *options]
+
     def robot(self, *options: object) -> subprocess.Popen[str]:
-        words = ("--site", self.folder / "site.yaml", "--robot", scenarios.RID, "--run", self.run)
-        words += ("--trust", self.trust, "--json", *options)
-        return self.start(*authguard("robot", *words))
+        return self.start(*authguard(*self.robot_words(*options)))
+
+    def estimator_words(self, *options: object) -> list[object]:
+        """Return the estimator's command, without the program."""
+        name = self.trust / "keys" / f"estimator-{scenarios.RID}"
+        key = ("--key", f"{name}.key.pem", "--cert", f"{name}.cert.pem")
+        words = ["estimator", "--robot", scenarios.RID, "--run", self.run, "--trust", self.trust]
+        return [*words, "--json", *key, *options]
 
     def estimator(self, *options: object) -> subprocess.Popen[str]:
-        keys = self.trust / "keys"
-        name = f"estimator-{scenarios.RID}"
-        key = ("--key", keys / f"{name}.key.pem", "--cert", keys / f"{name}.cert.pem")
-        words = ("--robot", scenarios.RID, "--run", self.run, "--trust", self.trust, "--json")
-        return self.start(*authguard("estimator", *words, *key, *options))
+        return self.start(*authguard(*self.estimator_words(*options)))
 
     def driving_gate(self, renew_within_ms: int) -> subprocess.Popen[str]:
         """Start a gate, as a process of its own, that drives the robot and renews for ever."""
@@ -113,19 +120,24 @@ class House:
         words = (program, self.run / "gate.sock", *files, renew_within_ms)
         return self.start(sys.executable, *words, measured=True)
 
-    def said(self, process: subprocess.Popen[str]) -> list[dict[str, str]]:
-        """Return what a process has logged."""
+    def said(self, process: subprocess.Popen[str], first: int = 0) -> list[dict[str, str]]:
+        """Return what a process has logged, from a line on."""
         number = self.processes.index(process)
         lines = (self.folder / f"{number}.err").read_text().splitlines()
-        return [json.loads(line) for line in lines]
+        return [json.loads(line) for line in lines[first:]]
 
     def sensors(self) -> Sensors:
         self.listeners.append(Sensors(self.run / "sensors.sock"))
         return self.listeners[-1]
 
-    def end(self) -> None:
+    def deafen(self) -> None:
+        """Let go of the sensors."""
         for listener in self.listeners:
             listener.close()
+        self.listeners.clear()
+
+    def end(self) -> None:
+        self.deafen()
         for process in self.processes:
             process.terminate()  # it says what it ran through
             try:
@@ -137,14 +149,58 @@ class House:
                 process.stdout.close()
 
 
-@pytest.fixture
-def house() -> Iterator[House]:
+@contextmanager
+def new_house() -> Iterator[House]:
     with TemporaryDirectory(prefix="ag-") as folder:
         it = House(Path(folder))
         try:
             yield it
         finally:
             it.end()
+
+
+@pytest.fixture
+def house() -> Iterator[House]:
+    with new_house() as it:
+        yield it
+
+
+class Still:
+    """A robot that nothing in these tests may move: one process for all of them."""
+
+    def __init__(self, house: House) -> None:
+        self.house = house
+        self.process = house.robot()
+        self._first = 0
+
+    def alone(self) -> None:
+        """Wait until nobody listens for it any more, and forget what it has said so far."""
+        lines = wait_for(self._alone)
+        self._first = len(lines)
+
+    def _alone(self) -> list[dict[str, str]]:
+        lines = self.house.said(self.process)
+        last = {line["channel"]: line["event"] for line in lines}
+        is_alone = {last.get(name) for name in ("gate.sock", "stop.sock")} == {"unreachable"}
+        return lines if is_alone else []
+
+    def said(self) -> list[dict[str, str]]:
+        """Return what it has said since."""
+        return self.house.said(self.process, self._first)
+
+
+@pytest.fixture(scope="module")
+def standing() -> Iterator[Still]:
+    with new_house() as house:
+        yield Still(house)
+
+
+@pytest.fixture
+def still(standing: Still) -> Iterator[Still]:
+    standing.alone()
+    yield standing
+    standing.house.deafen()
+    assert standing.process.poll() is None
 
 
 @pytest.fixture
@@ -218,15 +274,12 @@ def other_trust(house: House) -> Path:
 
 
 def replayed(house: House) -> Answer:
-    """Return the answer of one who has seen the true gate prove itself before."""
+    """Return the answer of one who has seen the true gate prove itself to this robot before."""
     seen: list[str] = []
     with gate_at(house.run / "stop.sock", true_answer()) as lane:
         true = lane.answer
         lane.answer = lambda hello: kept(true(hello), seen)
-        robot = house.robot()
         lane.accept().close()
-        robot.kill()
-        robot.wait()
     return lambda hello: welcome(hello, scenarios.RID, seen[0])
 
 
@@ -257,13 +310,13 @@ IMPOSTORS: dict[str, Callable[[House], Answer]] = {
 
 
 @pytest.mark.parametrize("who", IMPOSTORS)
-def test_a_hijacker_that_listens_moves_nothing_and_stops_nothing(house: House, who: str) -> None:
+def test_a_hijacker_that_listens_moves_nothing_and_stops_nothing(still: Still, who: str) -> None:
+    house = still.house
     answer = IMPOSTORS[who](house)
     with (
         gate_at(house.run / "gate.sock", answer) as false_gate,
         gate_at(house.run / "stop.sock", answer) as false_lane,
     ):
-        robot = house.robot()
         sensors = house.sensors()
         start = place(sensors.next())
         for _ in range(3):  # it tries again, and nobody is believed the third time either
@@ -278,12 +331,10 @@ def test_a_hijacker_that_listens_moves_nothing_and_stops_nothing(house: House, w
             for _ in range(5):
                 seen = sensors.next()
                 assert (place(seen), speed(seen)) == (start, 0)
-    lines = house.said(robot)
     wanted = {"refused"} if who != "no welcome" else {"refused", "no proof in time"}
-    told = [line for line in lines if line["event"] in wanted]
+    told = [line for line in still.said() if line["event"] in wanted]
     assert {line["channel"] for line in told} == {"gate.sock", "stop.sock"}
     assert all(line.get("code") for line in told if line["event"] == "refused")
-    assert robot.poll() is None
 
 
 def in_shadow(answer: Answer) -> Answer:
@@ -298,14 +349,13 @@ def in_shadow(answer: Answer) -> Answer:
 
 
 def test_a_gate_in_shadow_mode_moves_nothing_and_its_stop_lane_stops_all_the_same(
-    house: House,
+    still: Still,
 ) -> None:
-    answer = in_shadow(true_answer())
+    house, answer = still.house, in_shadow(true_answer())
     with (
         gate_at(house.run / "gate.sock", answer) as gate,
         gate_at(house.run / "stop.sock", answer) as lane,
     ):
-        robot = house.robot()
         sensors = house.sensors()
         start = place(sensors.next())
         for _ in range(2):
@@ -318,17 +368,16 @@ def test_a_gate_in_shadow_mode_moves_nothing_and_its_stop_lane_stops_all_the_sam
         (told,) = stopper.until(lambda: stopper.frames)
         assert (told.kind, told.id) == (Kind.STOOD, 5)
         assert place(sensors.next()) == start
-    refused = [line for line in house.said(robot) if line["event"] == "refused"]
+    refused = [line for line in still.said() if line["event"] == "refused"]
     assert {line["channel"] for line in refused} == {"gate.sock"}
 
 
-def test_a_server_that_says_nothing_is_let_go(house: House) -> None:
-    with gate_at(house.run / "gate.sock", lambda _hello: None) as silent:
-        robot = house.robot()
+def test_a_server_that_says_nothing_is_let_go(still: Still) -> None:
+    with gate_at(still.house.run / "gate.sock", lambda _hello: None) as silent:
         peer = silent.accept()
         peer.until(lambda: peer.is_over)
         silent.accept()
-    assert any(line["event"] == "no proof in time" for line in house.said(robot))
+    assert any(line["event"] == "no proof in time" for line in still.said())
 
 
 def test_after_every_impostor_the_true_gate_is_obeyed_and_counts_no_stop(house: House) -> None:
@@ -343,8 +392,8 @@ def test_after_every_impostor_the_true_gate_is_obeyed_and_counts_no_stop(house: 
         drive(house, gate, sensors)
 
 
-def test_a_hijacker_that_connects_is_let_go_and_moves_nothing(house: House) -> None:
-    robot = house.robot()
+def test_a_hijacker_that_connects_is_let_go_and_moves_nothing(still: Still) -> None:
+    house = still.house
     sensors = house.sensors()
     start = place(sensors.next())
     order = Dispatch(
@@ -362,20 +411,17 @@ def test_a_hijacker_that_connects_is_let_go_and_moves_nothing(house: House) -> N
                 pass  # let go in the middle
         seen = sensors.next()
         assert (place(seen), speed(seen)) == (start, 0)
-    assert robot.poll() is None
 
 
-def test_the_sensors_socket_is_for_user_and_group(house: House) -> None:
-    house.robot()
-    house.sensors().next()
-    mode = (house.run / "sensors.sock").stat().st_mode
+def test_the_sensors_socket_is_for_user_and_group(still: Still) -> None:
+    still.house.sensors().next()
+    mode = (still.house.run / "sensors.sock").stat().st_mode
     assert (stat.S_ISSOCK(mode), stat.S_IMODE(mode)) == (True, 0o660)
 
 
-def test_a_listener_that_never_reads_holds_nobody_up(house: House) -> None:
-    house.robot()
-    deaf = house.sensors()
-    sensors = house.sensors()
+def test_a_listener_that_never_reads_holds_nobody_up(still: Still) -> None:
+    deaf = still.house.sensors()
+    sensors = still.house.sensors()
     for _ in range(40):
         sensors.next()
     assert deaf.next() is not None
@@ -540,10 +586,9 @@ def answers(path: Path) -> bool:
 def test_a_robot_that_cannot_be_says_why(
     house: House, options: tuple[str, str], code: int, told: str
 ) -> None:
-    robot = house.robot(*options)
-    out, _ = robot.communicate(timeout=PATIENCE)
-    error = json.loads(out)["error"]
-    assert (robot.returncode, told in error["message"] + error["where"]) == (code, True), error
+    done = commands.ended(*house.robot_words(*options))
+    error = json.loads(done.out)["error"]
+    assert (done.code, told in error["message"] + error["where"]) == (code, True), error
 
 
 def attested(peer: Peer) -> Snapshot:
@@ -654,7 +699,6 @@ def test_a_gate_that_answers_no_snapshot_is_called_again(house: House, gate: Scr
 def test_an_estimator_that_cannot_be_says_why(
     house: House, options: tuple[str, str], code: int, told: str
 ) -> None:
-    estimator = house.estimator(*options)
-    out, _ = estimator.communicate(timeout=PATIENCE)
-    error = json.loads(out)["error"]
-    assert (estimator.returncode, told in error["message"] + error["where"]) == (code, True), error
+    done = commands.ended(*house.estimator_words(*options))
+    error = json.loads(done.out)["error"]
+    assert (done.code, told in error["message"] + error["where"]) == (code, True), error

@@ -104,7 +104,7 @@ def test_l1_no_adapter_gives_an_order_or_signs() -> None:
 
 @pytest.fixture(scope="module")
 def house() -> Any:
-    with RunningGate(robot=True, estimator=True) as gate:
+    with RunningGate(simulate=True) as gate:
         gate.activate()
         with serving(gate, "--propose") as served:
             until(lambda: served.post(EVALUATION, GRANTED).json()["decision"], "the first second")
