@@ -27,6 +27,7 @@ from cli.test_gate_commands import (
 from cli.test_gate_commands import shell as shell  # noqa: PLC0414 - a fixture
 from cli.test_gate_commands import token as token  # noqa: PLC0414 - a fixture
 from fixtures import scenarios
+from fixtures.cases import case
 from fixtures.scripted_peer import listening
 
 COUNTER = ["--counter", "other/counter"]
@@ -136,17 +137,18 @@ def test_a_journal_without_a_policy_is_a_mistake(shell: Shell) -> None:
 # --- what status and recover say
 
 
-@pytest.mark.parametrize("why", list(Why))
-def test_each_doubt_names_its_own_way_out(why: Why) -> None:
-    said = {"state": "put_back", "why": str(why), "message": SAID[why]}
-    head, way = status_lines({"anchor": said})[-3:-1]
-    assert head.endswith(SAID[why])
-    signed_away = why not in {Why.COUNTER_UNREADABLE, Why.COUNTER_NOT_NAMED}
-    assert ("authguard recover" in way) is signed_away
-    is_old = why in {Why.BEHIND, Why.FORKED}
-    assert head.startswith("STORE PUT BACK") is is_old
-    if not signed_away:
-        assert "--counter" in way
+def test_each_doubt_names_its_own_way_out() -> None:
+    for why in list(Why):
+        with case(why):
+            said = {"state": "put_back", "why": str(why), "message": SAID[why]}
+            head, way = status_lines({"anchor": said})[-3:-1]
+            assert head.endswith(SAID[why])
+            signed_away = why not in {Why.COUNTER_UNREADABLE, Why.COUNTER_NOT_NAMED}
+            assert ("authguard recover" in way) is signed_away
+            is_old = why in {Why.BEHIND, Why.FORKED}
+            assert head.startswith("STORE PUT BACK") is is_old
+            if not signed_away:
+                assert "--counter" in way
 
 
 def test_a_doubt_that_is_not_known_here_is_told_all_the_same() -> None:

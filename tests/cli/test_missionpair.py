@@ -3,32 +3,17 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from fractions import Fraction
 from typing import Any
 
 import pytest
 
 import authguard_reference as oracle
+from fixtures.missionpair_program import told
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN
 
 pytestmark = pytest.mark.complete
-
-
-def validate(*arguments: str) -> tuple[int, Any]:
-    command = [
-        sys.executable,
-        "-c",
-        "from missionpair.cli import main; main()",
-        "validate",
-        "--json",
-    ]
-    done = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
-    assert "Traceback" not in done.stderr
-    return done.returncode, json.loads(done.stdout) if done.stdout else None
 
 
 def test_the_suite_has_the_papers_numbers() -> None:
@@ -45,8 +30,10 @@ def test_the_suite_has_the_papers_numbers() -> None:
     ]
 
 
-def test_both_tables_are_the_papers() -> None:
-    code, found = validate()
+def test_both_tables_are_the_papers(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, found = told(capsys, monkeypatch, "validate")
     assert code == 0
     assert found["self_checks_passed"] == 16
     assert [row["UASR"] for row in found["results"]] == [1.0, 1.0, 0.0]
@@ -62,14 +49,18 @@ def test_both_tables_are_the_papers() -> None:
             assert trial["oracle"][-1], trial  # the oracle says why it was unauthorized
 
 
-def test_a_gate_without_a_check_lets_the_attack_through() -> None:
-    code, found = validate("--without", "check_destination")
+def test_a_gate_without_a_check_lets_the_attack_through(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, found = told(capsys, monkeypatch, "validate", "--without", "check_destination")
     assert code == 1
     assert found["results"][2]["UASR"] > 0
 
 
-def test_an_unknown_check_is_wrong_usage() -> None:
-    assert validate("--without", "check_nothing")[0] == 2
+def test_an_unknown_check_is_wrong_usage(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert told(capsys, monkeypatch, "validate", "--without", "check_nothing")[0] == 2
 
 
 @pytest.mark.parametrize(

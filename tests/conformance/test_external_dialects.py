@@ -23,6 +23,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.dialects.verbs import DRIVE_VERBS, STEP_VERBS
 from authguard_r.normalize.parse import read_text
+from fixtures.cases import case
 from unit.normalize.writers import WAYS
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -101,17 +102,18 @@ def test_a_naughty_string_is_no_plan_in_any_dialect() -> None:
     assert len(plans) == 4, plans
 
 
-@pytest.mark.parametrize("way", VALUES)
-def test_a_naughty_string_as_a_value_is_that_value_or_refused(way: str) -> None:
+def test_a_naughty_string_as_a_value_is_that_value_or_refused() -> None:
     """Only what UTF-8 or the dialect's own literals cannot say may be refused."""
-    dialect, write, ((tool, arguments), *_) = WAYS[way]
-    name = "1" if way == "spine, tuples" else "to"
-    for text in naughty():
-        value = {"args": {name: text}} if dialect is Dialect.ROS2 else {name: text}
-        call = (tool, {**arguments, **value} if dialect is Dialect.ROS2 else value)
-        found = read(write(call), dialect)
-        assert found is not None, text
-        assert [(c.tool, c.arguments) for c in found] == [call], text
+    for way in VALUES:
+        with case(way):
+            dialect, write, ((tool, arguments), *_) = WAYS[way]
+            name = "1" if way == "spine, tuples" else "to"
+            for text in naughty():
+                value = {"args": {name: text}} if dialect is Dialect.ROS2 else {name: text}
+                call = (tool, {**arguments, **value} if dialect is Dialect.ROS2 else value)
+                found = read(write(call), dialect)
+                assert found is not None, text
+                assert [(c.tool, c.arguments) for c in found] == [call], text
 
 
 @pytest.mark.parametrize("way", ["calls", "go2", "spine", "spine, the bare list", "steps"])

@@ -101,20 +101,23 @@ def test_every_chain_that_holds_passes_openssl_too() -> None:
             crypto.X509StoreContext(store, leaf, [issuer]).verify_certificate()
 
 
-@pytest.mark.parametrize("vector", CERTIFICATE["machines"], ids=named)
-def test_every_machine_s_certificate_names_what_it_needs_or_is_denied(vector: Json) -> None:
-    trust, now = unrevoked(CERTIFICATE, vector), Now(vector["now_ms"], 0)
-    whole = chain(CERTIFICATE, vector)
-    try:
-        if vector["as"] == Role.GATE:
-            found = dict(zip(("robot", "profile"), trust.gate_identity(whole, now), strict=True))
-        elif vector["as"] == Role.ESTIMATOR:
-            found = {"robot": trust.attested_robot(whole, now)}
-        else:
-            found = {"template": trust.scheduled_template(whole, now)}
-    except AuthGuardError as error:
-        found = refusal(error)
-    assert found == vector["expect"]
+def test_every_machine_s_certificate_names_what_it_needs_or_is_denied() -> None:
+    for vector in CERTIFICATE["machines"]:
+        with case(vector):
+            trust, now = unrevoked(CERTIFICATE, vector), Now(vector["now_ms"], 0)
+            whole = chain(CERTIFICATE, vector)
+            try:
+                if vector["as"] == Role.GATE:
+                    found = dict(
+                        zip(("robot", "profile"), trust.gate_identity(whole, now), strict=True)
+                    )
+                elif vector["as"] == Role.ESTIMATOR:
+                    found = {"robot": trust.attested_robot(whole, now)}
+                else:
+                    found = {"template": trust.scheduled_template(whole, now)}
+            except AuthGuardError as error:
+                found = refusal(error)
+            assert found == vector["expect"]
 
 
 def test_every_root_says_whether_it_is_for_demonstration() -> None:
@@ -182,21 +185,22 @@ def test_every_chain_is_believed_under_the_published_lists_or_refused() -> None:
             assert believed(trust_of(vector), vector) == vector["expect"]
 
 
-@pytest.mark.parametrize("vector", REVOCATION["newer"], ids=named)
-def test_every_list_takes_the_place_of_another_or_does_not_as_published(vector: Json) -> None:
-    trust = trust_of(vector)
-    before = {data: known.number for data, known in trust.lists.items()}
-    believed(trust, vector)  # who was let in before is not let in for that
-    try:
-        data = REVOCATION["lists"][vector["offered"]].encode()
-        der, found = trust.read_newer(data, Now(vector["now_ms"], 0))
-        trust.put_in_force({der: found})
-        got: Json = {"number": found.number}
-    except AuthGuardError as error:
-        got = refusal(error)
-        assert {data: known.number for data, known in trust.lists.items()} == before
-    assert got == vector["expect"]
-    assert believed(trust, vector) == vector["then"]
+def test_every_list_takes_the_place_of_another_or_does_not_as_published() -> None:
+    for vector in REVOCATION["newer"]:
+        with case(vector):
+            trust = trust_of(vector)
+            before = {data: known.number for data, known in trust.lists.items()}
+            believed(trust, vector)  # who was let in before is not let in for that
+            try:
+                data = REVOCATION["lists"][vector["offered"]].encode()
+                der, found = trust.read_newer(data, Now(vector["now_ms"], 0))
+                trust.put_in_force({der: found})
+                got: Json = {"number": found.number}
+            except AuthGuardError as error:
+                got = refusal(error)
+                assert {data: known.number for data, known in trust.lists.items()} == before
+            assert got == vector["expect"]
+            assert believed(trust, vector) == vector["then"]
 
 
 @pytest.mark.parametrize("name", ["certificate.json", "revocation.json"])

@@ -22,6 +22,7 @@ from authguard_r.keys.ed25519 import public_key
 from authguard_r.normalize import Binder, normalize
 from authguard_r.normalize.context import ContextLedger
 from fixtures import scenarios
+from fixtures.cases import case
 from fixtures.decision_cases import (
     ALONE,
     _plain,
@@ -63,12 +64,12 @@ def test_l4_who_a_text_says_it_is_from_is_not_read() -> None:
         ContextLedger(BINDER.spellings(), channels={"operator": "operator"})
 
 
-@pytest.mark.parametrize(
-    "speed", ["NaN", "-1", "true", '"0.5"', "1e400", "[0.5]", "null", "9" * 50]
-)
-def test_l3_a_velocity_that_is_no_sound_number_is_refused(speed: str) -> None:
-    text = f'{{"tool": "navigate_to", "arguments": {{"destination": "Dock", "speed": {speed}}}}}'
-    assert refused(text) in {"MALFORMED", "VALUE_INVALID", "VALUE_OUT_OF_RANGE"}
+def test_l3_a_velocity_that_is_no_sound_number_is_refused() -> None:
+    for speed in ["NaN", "-1", "true", '"0.5"', "1e400", "[0.5]", "null", "9" * 50]:
+        with case(speed):
+            there = f'{{"destination": "Dock", "speed": {speed}}}'
+            text = f'{{"tool": "navigate_to", "arguments": {there}}}'
+            assert refused(text) in {"MALFORMED", "VALUE_INVALID", "VALUE_OUT_OF_RANGE"}
 
 
 def test_l3_an_absent_velocity_is_not_compliant() -> None:

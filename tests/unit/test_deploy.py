@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from fixtures.cases import case
+
 pytestmark = pytest.mark.smoke
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,18 +97,23 @@ def test_the_units_are_there() -> None:
     ]
 
 
-@pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
-def test_every_process_is_shut_in_and_bounded(path: Path) -> None:
-    found = settings(path)
-    network = OVER_TCP if "witness" in path.name else OVER_DDS if "-ros-" in path.name else {}
-    expected = {**HARDENING, **network}
-    assert {name: found.get(name) for name in expected} == {n: [v] for n, v in expected.items()}
-    assert found["SystemCallFilter"][0] == "@system-service"
-    assert found["SystemCallFilter"][1].startswith("~@privileged")
-    for bound in ("MemoryMax", "TasksMax", "LimitNOFILE"):
-        assert re.fullmatch(r"[0-9]+M?", found[bound][0])
-    assert found["User"][0] not in {"root", "0"}
-    assert found["Restart"][0] in {"on-failure", "always"}
+def test_every_process_is_shut_in_and_bounded() -> None:
+    for path in UNITS:
+        with case(path):
+            found = settings(path)
+            network = (
+                OVER_TCP if "witness" in path.name else OVER_DDS if "-ros-" in path.name else {}
+            )
+            expected = {**HARDENING, **network}
+            assert {name: found.get(name) for name in expected} == {
+                n: [v] for n, v in expected.items()
+            }
+            assert found["SystemCallFilter"][0] == "@system-service"
+            assert found["SystemCallFilter"][1].startswith("~@privileged")
+            for bound in ("MemoryMax", "TasksMax", "LimitNOFILE"):
+                assert re.fullmatch(r"[0-9]+M?", found[bound][0])
+            assert found["User"][0] not in {"root", "0"}
+            assert found["Restart"][0] in {"on-failure", "always"}
 
 
 def test_users_are_apart_and_the_planners_runs_nothing_of_ours() -> None:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import pytest
 from pydantic import BaseModel
 
 from authguard_r.adapters.values import fields_of, sendable, words_of
+from fixtures.cases import case
 
 ROUND: list[Any] = []
 ROUND.append(ROUND)
@@ -35,9 +35,8 @@ class Opaque:
         return "opaque"
 
 
-@pytest.mark.parametrize(
-    ("value", "words", "fields"),
-    [
+def test_every_word_is_told() -> None:
+    for value, words, fields in [
         (None, ("",), None),
         ("Station 103", ("Station 103",), None),
         ({"sign": "é"}, ('{"sign":"é"}', "{'sign': 'é'}"), {"sign": "é"}),
@@ -46,11 +45,10 @@ class Opaque:
         ([1], ("[1]",), None),
         (Opaque(), ('"opaque"', "opaque"), None),
         (ROUND, ("[[...]]",), None),
-    ],
-)
-def test_every_word_is_told(value: Any, words: tuple[str, ...], fields: Any) -> None:
-    assert words_of(value) == words
-    assert fields_of(value) == fields
+    ]:
+        with case(value, words, fields):
+            assert words_of(value) == words
+            assert fields_of(value) == fields
 
 
 def test_half_a_character_is_told_as_none() -> None:

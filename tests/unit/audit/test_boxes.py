@@ -34,9 +34,10 @@ from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import MalformedError
 from fixtures import scenarios
+from fixtures.amount import amount
 from unit.test_record import Log
 
-LAW = settings(max_examples=100, deadline=None)
+LAW = settings(max_examples=amount(25, 100), deadline=None)
 KEYS = {data: bytes([number]) * 32 for number, data in enumerate(DataClass)}
 #: Digests as a decision links them.
 ACTION, STATE = b64(b"a" * 32), b64(b"s" * 32)

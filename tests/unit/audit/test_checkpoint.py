@@ -14,9 +14,10 @@ from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint,
 from authguard_r.audit.note import encode64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
+from fixtures.amount import amount
 from fixtures.cases import case
 
-LAW = settings(max_examples=200, deadline=None)
+LAW = settings(max_examples=amount(40, 200), deadline=None)
 ROOT, CHAIN = bytes(range(32)), bytes(range(32, 64))
 HASH = encode64(ROOT)
 SAID = Checkpoint(origin="authguard-r/courier-1/audit", size=12, root=ROOT, chain=CHAIN)

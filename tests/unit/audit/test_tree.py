@@ -25,9 +25,10 @@ from authguard_r.audit.tree import (
     verify_consistency,
     verify_inclusion,
 )
+from fixtures.amount import amount
 
 MOST = 64
-LAW = settings(max_examples=300, deadline=None)
+LAW = settings(max_examples=amount(60, 300), deadline=None)
 #: Leaves and roots of the test data of Certificate Transparency.
 CT_LEAVES = [
     bytes.fromhex(text)

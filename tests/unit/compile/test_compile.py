@@ -23,6 +23,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 from fixtures import scenarios
+from fixtures.cases import case
 
 SET = msgspec.structs.replace
 
@@ -42,9 +43,8 @@ def build(draft: dict[str, Any]) -> Any:
     )
 
 
-@pytest.mark.parametrize(
-    ("draft", "field"),
-    [
+def test_what_is_absent_is_asked_for() -> None:
+    for draft, field in [
         (changed(1, rows=None), "grants[1].rows[0].object"),
         (changed(1, repeat=None), "grants[1].repeat"),
         (changed(1, starts=None), "grants[1].starts"),
@@ -54,13 +54,12 @@ def build(draft: dict[str, Any]) -> Any:
         ({k: v for k, v in scenarios.draft().items() if k != "risk_policy"}, "risk_policy.privacy"),
         (scenarios.draft(budgets={"actions": 1, "rate": {}}), "budgets.rate.count"),
         (scenarios.draft(closing={"grants": ["go-home"]}), "closing.for"),
-    ],
-)
-def test_what_is_absent_is_asked_for(draft: dict[str, Any], field: str) -> None:
-    with pytest.raises(ClarificationError) as asked:
-        build(draft)
-    assert asked.value.field == field
-    assert asked.value.question.endswith("?")
+    ]:
+        with case(draft, field):
+            with pytest.raises(ClarificationError) as asked:
+                build(draft)
+            assert asked.value.field == field
+            assert asked.value.question.endswith("?")
 
 
 VIDEO = {
@@ -132,9 +131,8 @@ def test_quantities_are_exact(value: Any, unit: str, number: int) -> None:
     assert to_integer(value, unit, where="x") == number
 
 
-@pytest.mark.parametrize(
-    ("value", "unit"),
-    [
+def test_what_is_no_such_quantity_is_refused() -> None:
+    for value, unit in [
         ("0.8 kg", "mm/s"),
         ("0.8 parsnips", "mm/s"),
         ("much m/s", "mm/s"),
@@ -143,11 +141,9 @@ def test_quantities_are_exact(value: Any, unit: str, number: int) -> None:
         ("1e300 m", "mm"),
         (2**60, "ms"),
         ("0.8 ((", "mm/s"),
-    ],
-)
-def test_what_is_no_such_quantity_is_refused(value: Any, unit: str) -> None:
-    with pytest.raises(AuthGuardError):
-        to_integer(value, unit, where="x")
+    ]:
+        with case(value, unit), pytest.raises(AuthGuardError):
+            to_integer(value, unit, where="x")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -59,16 +58,18 @@ def test_a_guard_is_one_when_some_value_fails_it() -> None:
             assert real_guards((asked,)) == ((asked,) if is_real else ())
 
 
-@pytest.mark.parametrize(
-    ("given_guards", "asked", "is_real"),
-    [
+def test_what_holds_anyway_is_no_further_condition() -> None:
+    for given_guards, asked, is_real in [
         ([("battery_permille", "ge", 200)], ("battery_permille", "gt", 199), False),
         ([("battery_permille", "ge", 200)], ("battery_permille", "gt", 200), True),
         ([("battery_permille", "le", 200)], ("battery_permille", "lt", 201), False),
         ([("battery_permille", "eq", 5)], ("battery_permille", "eq", 5), False),
         ([("battery_permille", "eq", 5)], ("battery_permille", "ge", 5), False),
-        ([("battery_permille", "ge", 5), ("battery_permille", "lt", 6)],
-         ("battery_permille", "eq", 5), False),
+        (
+            [("battery_permille", "ge", 5), ("battery_permille", "lt", 6)],
+            ("battery_permille", "eq", 5),
+            False,
+        ),
         ([("battery_permille", "ge", 200)], ("speed_mm_s", "gt", 100), True),
         ([("holding", "eq", "nothing")], ("holding", "eq", "nothing"), False),
         ([("holding", "eq", "nothing")], ("holding", "ne", "package-p1"), True),
@@ -76,13 +77,10 @@ def test_a_guard_is_one_when_some_value_fails_it() -> None:
         ([("x", "eq", True)], ("x", "eq", 1), True),
         ([("x", "ge", "a")], ("x", "ge", 1), True),
         ([("x", "ne", 3)], ("x", "ge", 1), True),
-    ],
-)  # fmt: skip
-def test_what_holds_anyway_is_no_further_condition(
-    given_guards: list[tuple[str, str, Any]], asked: tuple[str, str, Any], is_real: bool
-) -> None:
-    found = real_guards((guard(*asked),), [guard(*item) for item in given_guards])
-    assert bool(found) is is_real
+    ]:
+        with case(given_guards, asked, is_real):
+            found = real_guards((guard(*asked),), [guard(*item) for item in given_guards])
+            assert bool(found) is is_real
 
 
 CONDITIONS = st.builds(

@@ -22,6 +22,7 @@ from authguard_r.compile.findings import Code
 from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
 from fixtures import scenarios
+from fixtures.cases import case
 
 SET = msgspec.structs.replace
 
@@ -74,9 +75,8 @@ def test_a_confirmation_that_is_not_this_signing_s_is_refused(changes: dict[str,
         read_confirmation(confirmation_bytes(confirmed(**changes)), mission=scenarios.mission())
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_what_is_no_confirmation_is_malformed() -> None:
+    for data in [
         b"",
         b"{}",
         b"null",
@@ -92,11 +92,9 @@ def test_a_confirmation_that_is_not_this_signing_s_is_refused(changes: dict[str,
         encode(confirmed(accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE))),
         encode(confirmed(accepted=(Code.NEVER_ASKS, Code.NEVER_ASKS))),
         json.dumps(msgspec.to_builtins(confirmed())).encode(),
-    ],
-)
-def test_what_is_no_confirmation_is_malformed(data: bytes) -> None:
-    with pytest.raises(MalformedError):
-        read_confirmation(data, mission=scenarios.mission())
+    ]:
+        with case(data), pytest.raises(MalformedError):
+            read_confirmation(data, mission=scenarios.mission())
 
 
 def activation(sim: Any) -> dict[str, Any]:

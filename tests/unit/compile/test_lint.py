@@ -79,11 +79,16 @@ def world(plain: dict[str, Any]) -> tuple[Mission, Site]:
     return mission, site
 
 
+@cache
+def world_of(name: str) -> tuple[Mission, Site]:
+    return world(pair(name))
+
+
 def test_a_pair_has_exactly_its_findings() -> None:
     for name in PAIRS:
         with case(name):
             plain = pair(name)
-            found = lint(*world(plain))
+            found = lint(*world_of(name))
             told = [[str(f.code), f.where, str(f.severity)] for f in found]
             assert sorted(told) == sorted(plain["findings"])
             assert plain.get("near_miss") not in {f.code for f in found}
@@ -103,7 +108,7 @@ def test_the_shipped_missions_have_no_error() -> None:
 
 
 def test_errors_come_first_and_each_line_has_its_mend() -> None:
-    found = lint(*world(pair("18-filming-for-a-week")))
+    found = lint(*world_of("18-filming-for-a-week"))
     assert [f.severity for f in found] == [Severity.ERROR, Severity.WARNING]
     assert errors(found) == (Code.RETENTION_OPEN,)
     lines = finding_lines(found)
@@ -113,13 +118,13 @@ def test_errors_come_first_and_each_line_has_its_mend() -> None:
 
 
 def test_a_site_may_draw_its_lines_elsewhere() -> None:
-    mission, site = world(pair("25-a-whole-day-for-ten-minutes"))
+    mission, site = world_of("25-a-whole-day-for-ten-minutes")
     assert lint(mission, site, Measures(window_factor=1_000)) == ()
-    mission, site = world(pair("17-filming-as-asked"))
+    mission, site = world_of("17-filming-as-asked")
     assert errors(lint(mission, site, Measures(retention_ms=1))) == (Code.RETENTION_OPEN,)
-    mission, site = world(pair("41-a-stream-that-goes-on"))
+    mission, site = world_of("41-a-stream-that-goes-on")
     assert lint(mission, site, Measures(stream_ms=10_000)) == ()
-    mission, site = world(pair("01-going-home-with-empty-hands"))
+    mission, site = world_of("01-going-home-with-empty-hands")
     assert errors(lint(mission, site, Measures(forceful_percent=50))) == (Code.NEVER_ASKS,)
 
 
@@ -127,9 +132,8 @@ def guard(comparison: str, value: Any) -> Guard:
     return Guard(variable="x", comparison=Comparison(comparison), value=value, max_age_ms=1)
 
 
-@pytest.mark.parametrize(
-    ("guards", "can_hold"),
-    [
+def test_guards_that_contradict_each_other_are_seen() -> None:
+    for guards, can_hold in [
         ([("ge", 3), ("le", 3)], True),
         ([("gt", 3), ("le", 3)], False),
         ([("gt", 3), ("lt", 5)], True),
@@ -144,15 +148,12 @@ def guard(comparison: str, value: Any) -> Guard:
         ([("ne", "a"), ("ne", "b")], True),
         ([("ge", "a")], False),
         ([("ge", True)], False),
-    ],
-)
-def test_guards_that_contradict_each_other_are_seen(
-    guards: list[tuple[str, Any]], can_hold: bool
-) -> None:
-    mission, site = world({"findings": []})
-    first = SET(mission.actions[0], guards=tuple(guard(*g) for g in guards))
-    found = lint(SET(mission, actions=(first, *mission.actions[1:])), site)
-    assert (Code.NEVER_MATCHES in errors(found)) is not can_hold
+    ]:
+        with case(guards, can_hold):
+            mission, site = world({"findings": []})
+            first = SET(mission.actions[0], guards=tuple(guard(*g) for g in guards))
+            found = lint(SET(mission, actions=(first, *mission.actions[1:])), site)
+            assert (Code.NEVER_MATCHES in errors(found)) is not can_hold
 
 
 PLACELESS = {
@@ -184,9 +185,8 @@ def sensitive(task: str) -> list[str]:
     return [str(f.severity) for f in lint(mission, site) if f.code is Code.THROUGH_SENSITIVE]
 
 
-@pytest.mark.parametrize(
-    "denial",
-    [
+def test_the_attack_a_denial_that_names_a_region_opens_no_way_through_it() -> None:
+    for denial in [
         ". Never go through Plant Room.",
         ". Never go through Office 1, Office 2, or the Plant Room!",
         ". The Plant Room must not be entered",
@@ -200,10 +200,9 @@ def sensitive(task: str) -> list[str]:
         ", avoiding the Plant Room",
         # what is left out is a gap: the words around it make no name together
         ". Look at the Plant. Never stop. Room",
-    ],
-)
-def test_the_attack_a_denial_that_names_a_region_opens_no_way_through_it(denial: str) -> None:
-    assert sensitive(DELIVER + denial) == ["error"]
+    ]:
+        with case(denial):
+            assert sensitive(DELIVER + denial) == ["error"]
 
 
 @pytest.mark.parametrize(
@@ -279,17 +278,18 @@ def test_pressing_hard_backwards_with_a_threshold_that_never_asks_is_seen(
     assert [f"`{mission.actions[1].id}`" in f.message for f in found] == [True]
 
 
-@pytest.mark.parametrize("name", PLACELESS)
-def test_some_errors_are_seen_without_the_site(name: str) -> None:
-    mission, _ = world(pair(name))
-    found = {(str(f.code), f.where, str(f.severity)) for f in lint_alone(mission)}
-    assert found == PLACELESS[name]
+def test_some_errors_are_seen_without_the_site() -> None:
+    for name, expected in PLACELESS.items():
+        with case(name):
+            mission, _ = world_of(name)
+            found = {(str(f.code), f.where, str(f.severity)) for f in lint_alone(mission)}
+            assert found == expected
 
 
 @pytest.mark.complete
 def test_without_the_site_no_error_is_seen_that_is_not_one_with_it() -> None:
     for name in PAIRS:
-        mission, site = world(pair(name))
+        mission, site = world_of(name)
         if Code.SITE_DIFFERS not in (known := errors(lint(mission, site))):
             assert set(errors(lint_alone(mission))) <= set(known), name
 

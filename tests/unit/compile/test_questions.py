@@ -30,6 +30,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Door
 from fixtures import scenarios
+from fixtures.cases import case
 
 SET = msgspec.structs.replace
 
@@ -323,9 +324,8 @@ def test_a_name_of_several_things_is_asked_about() -> None:
         names.value("Nowhere At All", where="v", questions=questions)
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "where"),
-    [
+def test_an_unknown_word_or_shape_is_refused_with_its_place() -> None:
+    for field, value, where in [
         ("robot", "courier", "robot"),
         ("grants[1].type", "picks", "grants[1].type"),
         ("grants[1].type", "%%", "grants[1].type"),
@@ -342,14 +342,11 @@ def test_a_name_of_several_things_is_asked_about() -> None:
         ("closing", {"grants": ["go-home"], "for": "1 s", "and": 1}, "draft:closing"),
         ("grants[1].guards[0].ge", "200", "draft:grants[1].guards[0].ge"),
         ("grants[1].guards[0].ne", "nothing", "grants[1].guards[0]"),
-    ],
-)
-def test_an_unknown_word_or_shape_is_refused_with_its_place(
-    field: str, value: Any, where: str
-) -> None:
-    with pytest.raises(MalformedError) as refused:
-        build(scenarios.draft(), **{field: value})
-    assert refused.value.where == where
+    ]:
+        with case(field, value, where):
+            with pytest.raises(MalformedError) as refused:
+                build(scenarios.draft(), **{field: value})
+            assert refused.value.where == where
 
 
 def test_risk_in_states_of_the_world_survives_the_way_back_to_a_draft() -> None:
@@ -406,9 +403,8 @@ def test_what_is_no_answer_is_refused(texts: list[str]) -> None:
         read_answers(texts)
 
 
-@pytest.mark.parametrize(
-    "field",
-    [
+def test_a_path_that_leads_nowhere_is_refused_and_the_draft_stays() -> None:
+    for field in [
         "",
         ".",
         "a..b",
@@ -424,13 +420,12 @@ def test_what_is_no_answer_is_refused(texts: list[str]) -> None:
         "[0]",
         "a b",
         "x" * 500,
-    ],
-)
-def test_a_path_that_leads_nowhere_is_refused_and_the_draft_stays(field: str) -> None:
-    draft = scenarios.draft()
-    with pytest.raises(MalformedError):
-        apply(draft, {field: 1})
-    assert draft == scenarios.draft()
+    ]:
+        with case(field):
+            draft = scenarios.draft()
+            with pytest.raises(MalformedError):
+                apply(draft, {field: 1})
+            assert draft == scenarios.draft()
 
 
 def test_a_whole_parameter_name_is_one_step_of_a_path() -> None:

@@ -26,9 +26,8 @@ DELIVERY = [
 VISIT = [("navigate", None, "station-102")]
 
 
-@pytest.mark.parametrize(
-    "sentence",
-    [
+def test_a_delivery_is_going_there_picking_carrying_placing() -> None:
+    for sentence in [
         "Deliver package P1 to station 101.",
         "Bring P1 from the pharmacy to Nurse Station 101, please",
         "courier-1, carry the Medicine Package P1 to room 101",
@@ -40,20 +39,18 @@ VISIT = [("navigate", None, "station-102")]
         "Pick up P1, then place it in Room 101.",
         "Return P1 to station 101",
         "Move P1 to station 101",
-    ],
-)
-def test_a_delivery_is_going_there_picking_carrying_placing(sentence: str) -> None:
-    made = mission(sentence)
-    assert shape(made.actions) == DELIVERY
-    assert [grant.completes for grant in made.actions] == [False, False, False, True]
-    assert made.task == sentence
-    assert made.objects == ("package-p1",)
-    assert made.regions == ("dock", "pharmacy", "public-corridor", "station-101")
+    ]:
+        with case(sentence):
+            made = mission(sentence)
+            assert shape(made.actions) == DELIVERY
+            assert [grant.completes for grant in made.actions] == [False, False, False, True]
+            assert made.task == sentence
+            assert made.objects == ("package-p1",)
+            assert made.regions == ("dock", "pharmacy", "public-corridor", "station-101")
 
 
-@pytest.mark.parametrize(
-    "sentence",
-    [
+def test_a_visit_is_one_motion_that_records_nothing() -> None:
+    for sentence in [
         "Go to station 102",
         "drive to Nurse Station 102.",
         "move to Room 102",
@@ -62,13 +59,12 @@ def test_a_delivery_is_going_there_picking_carrying_placing(sentence: str) -> No
         "Patrol station 102",
         "Inspect Room 102 without recording",
         "check station 102, do not record",
-    ],
-)
-def test_a_visit_is_one_motion_that_records_nothing(sentence: str) -> None:
-    made = mission(sentence)
-    assert shape(made.actions) == VISIT
-    assert made.actions[0].data == DataRights()
-    assert made.budgets.recorded_bytes == 0
+    ]:
+        with case(sentence):
+            made = mission(sentence)
+            assert shape(made.actions) == VISIT
+            assert made.actions[0].data == DataRights()
+            assert made.budgets.recorded_bytes == 0
 
 
 @pytest.mark.parametrize(
@@ -348,9 +344,8 @@ def test_an_unsaid_speed_is_the_profiles_upper_bound_and_is_marked() -> None:
     assert guide.limits[0].high == 400
 
 
-@pytest.mark.parametrize(
-    ("sentence", "word", "field", "candidates"),
-    [
+def test_words_that_nothing_explains_are_asked_about_at_the_slot_they_could_change() -> None:
+    for sentence, word, field, candidates in [
         ("quietly go to station 101", "quietly", "speed", ("leave it out",)),
         ("go to station 101 hurriedly", "hurriedly", "speed", ("leave it out",)),
         ("firmly pick up P1", "firmly", "force", ("leave it out",)),
@@ -375,15 +370,12 @@ def test_an_unsaid_speed_is_the_profiles_upper_bound_and_is_marked() -> None:
         ("pick up P1 and zorb P2", "zorb", "condition", ()),
         ("wait at the pharmacy for a few seconds", "seconds", "duration", ()),
         ("go to station 101, then bring P1 to the wet dock", "wet", "step2.destination", ("dock",)),
-    ],
-)
-def test_words_that_nothing_explains_are_asked_about_at_the_slot_they_could_change(
-    sentence: str, word: str, field: str, candidates: tuple[str, ...]
-) -> None:
-    asked = propose(sentence)
-    assert asked_about(asked, word) == [field]
-    assert fields(asked)[field] == candidates
-    assert asked.draft == {}
+    ]:
+        with case(sentence, word, field, candidates):
+            asked = propose(sentence)
+            assert asked_about(asked, word) == [field]
+            assert fields(asked)[field] == candidates
+            assert asked.draft == {}
 
 
 @pytest.mark.parametrize(
@@ -510,9 +502,8 @@ def test_a_manner_never_slows_another_clause_than_its_own(
     assert highs == [250 if careful else 500 for careful in slow]
 
 
-@pytest.mark.parametrize(
-    ("sentence", "field"),
-    [
+def test_a_robot_in_the_place_of_a_thing_or_a_region_never_vanishes() -> None:
+    for sentence, field in [
         ("put P1 into courier-1 at Station 101", "destination"),
         ("take P1 from courier-1 to Station 101", "source"),
         ("go to Station 101 to courier-1", "destination2"),
@@ -522,14 +513,11 @@ def test_a_manner_never_slows_another_clause_than_its_own(
         ("go to Station 101 and courier-1", "destination2"),
         ("go to Station 101, then courier-1", "destination2"),
         ("pick up P1 and courier-1", "object2"),
-    ],
-)
-def test_a_robot_in_the_place_of_a_thing_or_a_region_never_vanishes(
-    sentence: str, field: str
-) -> None:
-    asked = propose(sentence)
-    assert field in fields(asked)
-    assert asked.draft == {}
+    ]:
+        with case(sentence, field):
+            asked = propose(sentence)
+            assert field in fields(asked)
+            assert asked.draft == {}
 
 
 def test_a_robot_that_is_spoken_to_is_no_place() -> None:
@@ -543,9 +531,9 @@ def test_a_robot_that_is_spoken_to_is_no_place() -> None:
     assert [place for _, _, place in shape(both.actions)] == ["station-101", "dock"]
 
 
-@pytest.mark.parametrize(
-    ("sentence", "settled"),
-    [
+def test_a_second_value_of_one_quantity_is_a_question_that_no_answer_settles() -> None:
+    """Whichever was taken, the other one would have been said for nothing."""
+    for sentence, settled in [
         ("go to Station 101 at 0.3 at 0.5 m/s", {"at": "0.3 m/s"}),
         ("go to Station 101 at 0.5 m/s at 0.3", {"at": "0.3 m/s"}),
         ("go to Station 101 at 0.5 m/s at 0.5", {"at": "0.5 m/s"}),
@@ -557,22 +545,18 @@ def test_a_robot_that_is_spoken_to_is_no_place() -> None:
             "go to Station 101 at 2 and go to Station 102 at 3",
             {"at": "2026-01-01T14:00:00Z", "step2.at": "2026-01-01T15:00:00Z"},
         ),
-    ],
-)
-def test_a_second_value_of_one_quantity_is_a_question_that_no_answer_settles(
-    sentence: str, settled: dict[str, str]
-) -> None:
-    """Whichever was taken, the other one would have been said for nothing."""
-    asked = propose(
-        sentence, given={**GIVEN, "window.not_before": "2026-01-01T14:30:00Z", **settled}
-    )
-    assert asked.draft == {}
-    assert any("say one of them only" in question.question for question in asked.questions)
+    ]:
+        with case(sentence, settled):
+            asked = propose(
+                sentence, given={**GIVEN, "window.not_before": "2026-01-01T14:30:00Z", **settled}
+            )
+            assert asked.draft == {}
+            assert any("say one of them only" in question.question for question in asked.questions)
 
 
-@pytest.mark.parametrize(
-    ("sentence", "word", "field"),
-    [
+def test_a_phrase_that_no_step_uses_is_asked_about() -> None:
+    """What was said and then not used would be a condition that vanished."""
+    for sentence, word, field in [
         ("go to the pharmacy with P1", "P1", "object"),
         ("go with P1 to the pharmacy", "P1", "object"),
         ("return from station 101 to base when the battery is low", "station 101", "source"),
@@ -584,11 +568,9 @@ def test_a_second_value_of_one_quantity_is_a_question_that_no_answer_settles(
         ("go to station 101 with 20 N", "20 N", "force"),
         ("go to station 101 for 30 s", "30 s", "duration"),
         ("go to station 101 without recording", "record", "data.record"),
-    ],
-)
-def test_a_phrase_that_no_step_uses_is_asked_about(sentence: str, word: str, field: str) -> None:
-    """What was said and then not used would be a condition that vanished."""
-    assert asked_about(propose(sentence), word) == [field]
+    ]:
+        with case(sentence, word, field):
+            assert asked_about(propose(sentence), word) == [field]
 
 
 def test_a_thing_is_inspected_where_the_sentence_says_it_is() -> None:
@@ -701,9 +683,8 @@ TWO_DOORS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("sentence", "door"),
-    [
+def test_a_door_is_what_stands_at_the_place_or_has_its_name() -> None:
+    for sentence, door in [
         ("open the isolation room door", "isolation-door"),
         ("open the door of the isolation room", "isolation-door"),
         ("open the door to Isolation Room", "isolation-door"),
@@ -715,12 +696,11 @@ TWO_DOORS = {
         ("open the door between pharmacy and staff corridor", "drug-door"),
         ("open the pharmacy door", "drug-door"),
         ("open the drug door", "drug-door"),
-    ],
-)
-def test_a_door_is_what_stands_at_the_place_or_has_its_name(sentence: str, door: str) -> None:
-    site = site_with_doors(**TWO_DOORS)
-    made = compiled(propose(sentence, site=site), site)
-    assert shape(made.actions)[-1] == ("open", door, None)
+    ]:
+        with case(sentence, door):
+            site = site_with_doors(**TWO_DOORS)
+            made = compiled(propose(sentence, site=site), site)
+            assert shape(made.actions)[-1] == ("open", door, None)
 
 
 @pytest.mark.parametrize(
@@ -820,9 +800,9 @@ def one_package() -> Site:
     return changed_site(objects=objects)
 
 
-@pytest.mark.parametrize(
-    ("sentence", "word", "field"),
-    [
+def test_a_label_behind_a_noun_is_no_article() -> None:
+    """`package A` on a site with one package P1 is not that package: it is a question."""
+    for sentence, word, field in [
         ("deliver package A to station 101", "A", "object"),
         ("deliver package a to station 101", "a", "object"),
         ("deliver the package the to station 101", "the", "object"),
@@ -837,12 +817,10 @@ def one_package() -> Site:
         ("deliver package to station 101 your", "your", "destination"),
         ("deliver package Please to station 101", "Please", "object"),
         ("guide the visitor A to station 101", "A", "destination"),
-    ],
-)
-def test_a_label_behind_a_noun_is_no_article(sentence: str, word: str, field: str) -> None:
-    """`package A` on a site with one package P1 is not that package: it is a question."""
-    asked = propose(sentence, site=one_package())
-    assert asked_about(asked, word) == [field]
+    ]:
+        with case(sentence, word, field):
+            asked = propose(sentence, site=one_package())
+            assert asked_about(asked, word) == [field]
 
 
 @pytest.mark.parametrize(

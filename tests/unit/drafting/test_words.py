@@ -22,6 +22,7 @@ from authguard_r.drafting.measures import (
 from authguard_r.drafting.profile import measure, read_profile
 from authguard_r.drafting.tokens import Kind, runs, tokenize
 from fixtures import household_sites, scenarios
+from fixtures.cases import case
 from unit.drafting.drafts import NOW_MS
 
 LEXICON = read_lexicon(scenarios.site(), reserved=frames.reserved())
@@ -35,9 +36,8 @@ def ids(text: str) -> tuple[str, ...]:
     return tuple(ref.id for ref in match.refs)
 
 
-@pytest.mark.parametrize(
-    ("text", "kinds"),
-    [
+def test_tokens() -> None:
+    for text, kinds in [
         ("go to 101", ["word", "word", "number"]),
         ("at 14:30.", ["word", "clock", "mark"]),
         ("by 2026-01-31T14:30:00Z", ["word", "instant"]),
@@ -47,10 +47,9 @@ def ids(text: str) -> tuple[str, ...]:
         ("1-2", ["number", "mark", "number"]),
         ("14:301", ["number", "mark", "number"]),
         ("a - b", ["word", "mark", "word"]),
-    ],
-)
-def test_tokens(text: str, kinds: list[str]) -> None:
-    assert [str(token.kind) for token in tokenize(text)] == kinds
+    ]:
+        with case(text, kinds):
+            assert [str(token.kind) for token in tokenize(text)] == kinds
 
 
 @given(st.text(min_size=1, max_size=60))
@@ -70,9 +69,8 @@ def test_tokens_lose_nothing_but_space_and_joints(text: str) -> None:
     assert all(token.kind is not Kind.MARK or len(token.text) == 1 for token in tokens)
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
+def test_a_name_means_its_owners_and_nothing_alike() -> None:
+    for text, found in [
         ("Station 101", ("station-101",)),
         ("STATION-101", ("station-101",)),
         ("nurse station 101", ("station-101",)),
@@ -88,10 +86,9 @@ def test_tokens_lose_nothing_but_space_and_joints(text: str) -> None:
         ("courier-1", ("courier-1",)),
         ("st\u0430tion 101", ()),
         ("pharmacies", ("pharmacy",)),
-    ],
-)
-def test_a_name_means_its_owners_and_nothing_alike(text: str, found: tuple[str, ...]) -> None:
-    assert ids(text) == found
+    ]:
+        with case(text, found):
+            assert ids(text) == found
 
 
 def test_the_longest_name_is_meant() -> None:
@@ -114,9 +111,8 @@ def test_every_id_of_the_site_means_itself(item: str) -> None:
     assert runs(item) == runs(item.upper())
 
 
-@pytest.mark.parametrize(
-    ("text", "spelled", "amount"),
-    [
+def test_quantities_are_exact() -> None:
+    for text, spelled, amount in [
         ("0.8 m/s", "0.8 m/s", 800),
         ("2 meters per second", "2 m/s", 2000),
         ("3.6 km/h", "3.6 km/h", 1000),
@@ -128,12 +124,11 @@ def test_every_id_of_the_site_means_itself(item: str) -> None:
         ("10 MB", "10 MB", 10_000_000),
         ("20 N", "20 N", 20_000),
         ("15min", "15 min", 900_000),
-    ],
-)
-def test_quantities_are_exact(text: str, spelled: str, amount: int | Fraction) -> None:
-    found = read_measure_text(text, tokenize(text))
-    assert found is not None
-    assert (found.text, found.amount) == (spelled, amount)
+    ]:
+        with case(text, spelled, amount):
+            found = read_measure_text(text, tokenize(text))
+            assert found is not None
+            assert (found.text, found.amount) == (spelled, amount)
 
 
 @pytest.mark.parametrize("text", ["30", "m/s", "30 parsecs", "30 s or so", "few seconds", "1,5 s"])
@@ -148,9 +143,8 @@ def test_numbers_in_words() -> None:
     assert read_number((), 0) is None
 
 
-@pytest.mark.parametrize(
-    ("text", "time"),
-    [
+def test_times_of_day_keep_every_meaning() -> None:
+    for text, time in [
         ("14:30", Daytime((14,), 30, 1)),
         ("2:30", Daytime((2, 14), 30, 1)),
         ("02:30", Daytime((2,), 30, 1)),
@@ -164,10 +158,9 @@ def test_numbers_in_words() -> None:
         ("noon tomorrow", Daytime((12,), 0, 2, day=1)),
         ("14:30 UTC today", Daytime((14,), 30, 3, day=0, utc=True)),
         ("3 p.m.", Daytime((15,), 0, 5)),
-    ],
-)
-def test_times_of_day_keep_every_meaning(text: str, time: Daytime) -> None:
-    assert read_daytime(tokenize(text), 0) == time
+    ]:
+        with case(text, time):
+            assert read_daytime(tokenize(text), 0) == time
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ from authguard_r.emergency.policy import HOUR_MS, Caller, Missing
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import facts_of, profile_digest
 from fixtures import emergency_policies, scenarios
+from fixtures.cases import case
 
 FACTS: SiteFacts = facts_of(
     emergency_policies.site(),
@@ -65,9 +66,8 @@ def test_when_everything_holds_it_is_accepted() -> None:
         bool(decision)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
+def test_one_thing_that_does_not_hold_refuses_it() -> None:
+    for changes, reason in [
         ({"name": "fly"}, "ACTION_OUT_OF_SCOPE"),
         ({"caller": Caller.GATE}, "ROLE_DENIED"),
         ({"state": None}, "STATE_MISSING"),
@@ -77,11 +77,10 @@ def test_when_everything_holds_it_is_accepted() -> None:
         ({"stopped": True}, "STOPPED"),
         ({"now": Now(OPENED.expiry_ms + 1, scenarios.NOW.mono_ms)}, "EXPIRED"),
         ({"now": Now(OPENED.not_before_ms - 1, scenarios.NOW.mono_ms)}, "NOT_YET_VALID"),
-    ],
-)
-def test_one_thing_that_does_not_hold_refuses_it(changes: dict[str, Any], reason: str) -> None:
-    assert reason in why(**changes)
-    assert why() == []
+    ]:
+        with case(changes, reason):
+            assert reason in why(**changes)
+            assert why() == []
 
 
 @pytest.mark.parametrize(

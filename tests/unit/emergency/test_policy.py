@@ -39,9 +39,8 @@ def test_the_one_that_is_sound_and_signed_counts() -> None:
     assert lint_policy(value, emergency_policies.site()) == ()
 
 
-@pytest.mark.parametrize(
-    ("changes", "more", "code"),
-    [
+def test_one_that_does_not_count_is_refused() -> None:
+    for changes, more, code in [
         ({}, {"by": "operator-1"}, "ROLE_DENIED"),
         ({}, {"by": "site-authority-1"}, "ROLE_DENIED"),
         ({"robot": scenarios.OTHER}, {}, "ROBOT_MISMATCH"),
@@ -50,14 +49,11 @@ def test_the_one_that_is_sound_and_signed_counts() -> None:
         ({"profile": "A" * 43}, {}, "PROFILE_MISMATCH"),
         ({"expiry": to_timestamp(scenarios.START_MS - 60_000)}, {}, "EXPIRED"),
         ({"not_before": to_timestamp(scenarios.START_MS + 60_000)}, {}, "NOT_YET_VALID"),
-    ],
-)
-def test_one_that_does_not_count_is_refused(
-    changes: dict[str, Any], more: dict[str, Any], code: str
-) -> None:
-    with pytest.raises(AuthGuardError) as refused:
-        opened(emergency_policies.policy(**changes), **more)
-    assert refused.value.reason == code
+    ]:
+        with case(changes, more, code):
+            with pytest.raises(AuthGuardError) as refused:
+                opened(emergency_policies.policy(**changes), **more)
+            assert refused.value.reason == code
 
 
 def test_a_signer_of_other_regions_or_robots_signs_nothing_here() -> None:

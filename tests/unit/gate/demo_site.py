@@ -32,8 +32,6 @@ from authguard_r.client.controller import Channel, ControllerDesk, Sent
 from authguard_r.client.greeting import Greeting
 from authguard_r.client.proof import prove
 from authguard_r.commands import Command, Verb
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.draft import Draft
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.identifiers import ActionType, Digest
 from authguard_r.core.mission import Mission
@@ -58,7 +56,7 @@ from authguard_r.safety import default_config as default_safety
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.site.model import Site, stopping_mm
-from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.site.source import read_text, read_yaml
 from authguard_r.site.words import standard_words
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.frames import Frame, FrameReader, frame
@@ -626,8 +624,7 @@ def driving_mission(**grant: Any) -> Mission:
         **plain["risk_policy"],
         "types": {**plain["risk_policy"]["types"], "drive": 5},
     }
-    drafted = convert(plain, Draft, where="mission")
-    return compile_draft(drafted, driving_site(), now=scenarios.NOW, nonce=b64(bytes(16)))
+    return scenarios.compiled(plain, at=driving_site())
 
 
 def driving(**more: Any) -> House:

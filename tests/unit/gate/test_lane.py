@@ -33,6 +33,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import FrameReader, frame, raw_frame, read_body
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, Stood, StopHeard, Welcome
 from fixtures import estop_fixtures, scenarios
+from fixtures.cases import case
 
 ME, STRANGER, PLANNER, DRIVER = 1_000, 1_001, 1_002, 1_003
 EPOCH = 77
@@ -390,9 +391,8 @@ def test_connections_of_all_users_together_are_bounded() -> None:
     assert world.open(DRIVER).is_ending
 
 
-@pytest.mark.parametrize(
-    ("first", "where"),
-    [
+def test_a_wrong_first_message_ends_that_connection_alone() -> None:
+    for first, where in [
         (frame(Kind.STOP, 1, {}), "frame.kind"),
         (frame(Kind.PROPOSE, 1, {}), "frame.kind"),
         (b"\xff" * 9, "frame.kind"),
@@ -406,15 +406,14 @@ def test_connections_of_all_users_together_are_bounded() -> None:
             "hello.protocol",
         ),
         (frame(Kind.HELLO, 0, hello(ClientRole.PLANNER, "p")) * 2, "frame.kind"),
-    ],
-)
-def test_a_wrong_first_message_ends_that_connection_alone(first: bytes, where: str) -> None:
-    world = World()
-    other, wrong = world.planner(), world.open(PLANNER)
-    world.desk.received(wrong, first, world.now)
-    assert code(wrong)[1] == where
-    world.stop(other)
-    assert said(other)[0][0] is Kind.REPLY
+    ]:
+        with case(first, where):
+            world = World()
+            other, wrong = world.planner(), world.open(PLANNER)
+            world.desk.received(wrong, first, world.now)
+            assert code(wrong)[1] == where
+            world.stop(other)
+            assert said(other)[0][0] is Kind.REPLY
 
 
 @given(st.lists(st.binary(max_size=40), max_size=8))

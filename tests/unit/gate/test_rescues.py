@@ -15,6 +15,7 @@ from authguard_r.audit.record import Record, read_record
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, StoreError
+from authguard_r.core.mission import Mission
 from authguard_r.core.ports import Store
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome
@@ -225,17 +226,9 @@ def test_a_false_emergency_does_not_stop_a_mission() -> None:
         assert answer["steps"][0]["execution"]["outcome"] == "succeeded"
 
 
-def worlds_mission() -> Any:
+def worlds_mission() -> Mission:
     """Return the shipped mission, compiled for the site with its safe place."""
-    from authguard_r.compile.build import compile_draft
-    from authguard_r.compile.draft import Draft
-    from authguard_r.core.encoding import b64
-    from authguard_r.site.source import convert
-
-    drafted = convert(scenarios.draft(), Draft, where="mission")
-    return compile_draft(
-        drafted, emergency_policies.site(), now=scenarios.NOW, nonce=b64(bytes(16))
-    )
+    return scenarios.compiled(scenarios.draft(), at=emergency_policies.site())
 
 
 def test_a_real_emergency_stops_what_runs_first_and_nothing_is_proposed_meanwhile() -> None:

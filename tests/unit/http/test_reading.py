@@ -16,6 +16,7 @@ from authguard_r.http.reading import call_of, plan_of, read_body, read_words
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.bind import Binder
 from fixtures import scenarios
+from fixtures.cases import case
 
 ASKED = b"""{"subject": {"type": "a", "id": "b"}, "resource": {"type": "robot", "id": "c"},
  "action": {"name": "navigate_to", "properties": {"destination": "Pharmacy", "speed": %s}}}"""
@@ -56,13 +57,12 @@ def test_any_bytes_are_a_question_or_malformed(data: bytes) -> None:
         read_body(data, Evaluation)
 
 
-@pytest.mark.parametrize(
-    "value", ["+1", " 1", "1.0", "1e3", "0x1", "\u0661", "", "-0", "1_0", "9" * 17]
-)
-def test_a_parameter_has_one_spelling(value: str) -> None:
-    with pytest.raises(MalformedError) as refused:
-        read_words([("first", value)], Page)
-    assert refused.value.where == "parameters.first"
+def test_a_parameter_has_one_spelling() -> None:
+    for value in ["+1", " 1", "1.0", "1e3", "0x1", "\u0661", "", "-0", "1_0", "9" * 17]:
+        with case(value):
+            with pytest.raises(MalformedError) as refused:
+                read_words([("first", value)], Page)
+            assert refused.value.where == "parameters.first"
 
 
 def test_parameters_are_read_once_each() -> None:

@@ -77,9 +77,10 @@ def test_the_list_of_low_order_points_is_the_whole_list() -> None:
     assert not times_eight_is_identity(y_of(raw(Ed25519PrivateKey.from_private_bytes(bytes(32)))))
 
 
-@pytest.mark.parametrize("text", LOW_ORDER.values(), ids=LOW_ORDER)
-def test_a_low_order_key_is_refused(text: str) -> None:
-    assert "low order" in refused(bytes.fromhex(text)).message
+def test_a_low_order_key_is_refused() -> None:
+    for name, text in LOW_ORDER.items():
+        with case(name):
+            assert "low order" in refused(bytes.fromhex(text)).message
 
 
 @pytest.mark.parametrize("text", LOW_ORDER_TWINS.values(), ids=LOW_ORDER_TWINS)

@@ -31,6 +31,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.envelope import MAX_FILE, is_sealed, read_envelope, seal, unseal
 from authguard_r.keys.signer import open_key_file, read_keys, read_signer
+from fixtures.cases import case
 from fixtures.gate_process import environment
 from unit.keys import chains
 from unit.keys.chains import house
@@ -138,9 +139,9 @@ def test_every_field_of_the_header_is_authentic(field: dict[str, Any]) -> None:
     assert refused(changed(**field), AuthenticityError).reason is Reason.KEY_INVALID
 
 
-@pytest.mark.parametrize(
-    ("field", "place"),
-    [
+def test_a_file_asks_for_nothing_out_of_bounds() -> None:
+    """Refused before anything is derived: no passphrase and no memory were needed."""
+    for field, place in [
         ({"memory_kib": 100 << 20}, "memory_kib"),
         ({"memory_kib": 65_535}, "memory_kib"),
         ({"memory_kib": -1}, "memory_kib"),
@@ -158,17 +159,14 @@ def test_every_field_of_the_header_is_authentic(field: dict[str, Any]) -> None:
         ({"nonce": "*"}, "nonce"),
         ({"salt": ""}, "salt"),
         ({"salt": b64(bytes(32))}, "salt"),
-    ],
-    ids=str,
-)
-def test_a_file_asks_for_nothing_out_of_bounds(field: dict[str, Any], place: str) -> None:
-    """Refused before anything is derived: no passphrase and no memory were needed."""
-    with pytest.raises(MalformedError) as caught:
-        read_envelope(changed(**field), where="my.key.pem")
-    assert caught.value.where.startswith("my.key.pem: envelope.header")
-    assert caught.value.where.endswith(place)
-    assert "restore the file from a copy" in caught.value.message
-    refused(changed(**field), MalformedError)
+    ]:
+        with case(field, place):
+            with pytest.raises(MalformedError) as caught:
+                read_envelope(changed(**field), where="my.key.pem")
+            assert caught.value.where.startswith("my.key.pem: envelope.header")
+            assert caught.value.where.endswith(place)
+            assert "restore the file from a copy" in caught.value.message
+            refused(changed(**field), MalformedError)
 
 
 def test_a_later_format_is_told_from_damage() -> None:
@@ -178,9 +176,8 @@ def test_a_later_format_is_told_from_damage() -> None:
     assert error.where == "my.key.pem: envelope.header.format"
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_damage_is_malformed_with_its_place() -> None:
+    for data in [
         b"",
         BEGIN,
         BEGIN + END,
@@ -200,13 +197,11 @@ def test_a_later_format_is_told_from_damage() -> None:
         armored(encode({**inside(), "ciphertext": "*"})),
         armored(encode({**inside(), "more": 1})),
         armored(bytes(MAX_FILE)),
-    ],
-    ids=range(19),
-)
-def test_damage_is_malformed_with_its_place(data: bytes) -> None:
-    error = refused(data, MalformedError)
-    assert error.where.startswith("my.key.pem")
-    assert "restore the file" in error.message
+    ]:
+        with case(data):
+            error = refused(data, MalformedError)
+            assert error.where.startswith("my.key.pem")
+            assert "restore the file" in error.message
 
 
 def test_every_cut_and_every_flipped_byte_is_refused() -> None:

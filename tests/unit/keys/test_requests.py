@@ -43,6 +43,7 @@ from authguard_r.keys.revoking import next_lists, revoke
 from authguard_r.keys.setup import init_folder, read_authority
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import pairs, read_certificates, read_trust
+from fixtures.cases import case
 
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)
 NOW = Now(int(TODAY.timestamp()) * 1000, 0)
@@ -112,9 +113,8 @@ def test_two_keys_are_of_two_algorithms() -> None:
     assert len(open_request(make_request(OPERATOR, tuple(map(generate, HYBRID)))).keys) == 2
 
 
-@pytest.mark.parametrize(
-    ("wanted", "where"),
-    [
+def test_what_no_certificate_can_say_is_refused_before_anybody_looks() -> None:
+    for wanted, where in [
         (replace(OPERATOR, robots=("a",)), "request.robots"),
         (replace(OPERATOR, every_region=False, regions=("b", "a")), "request.regions"),
         (replace(OPERATOR, every_region=False, regions=("a", "a")), "request.regions"),
@@ -124,14 +124,11 @@ def test_two_keys_are_of_two_algorithms() -> None:
         (Wanted(principal="g", role=Role.GATE, robots=("a",)), "request.profile"),
         (Wanted(principal="g", role=Role.GATE, profile="A" * 43), "request.robots"),
         (Wanted(principal="e", role=Role.ESTIMATOR, robots=("a", "b")), "request.robots"),
-    ],
-)
-def test_what_no_certificate_can_say_is_refused_before_anybody_looks(
-    wanted: Wanted, where: str
-) -> None:
-    with pytest.raises(MalformedError) as error:
-        open_request(make_request(wanted, (key(),)))
-    assert error.value.where == where
+    ]:
+        with case(wanted, where):
+            with pytest.raises(MalformedError) as error:
+                open_request(make_request(wanted, (key(),)))
+            assert error.value.where == where
 
 
 def test_every_role_can_be_had(auth: Path) -> None:

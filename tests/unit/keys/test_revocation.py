@@ -88,9 +88,10 @@ def test_a_list_with_one_serial_taken_out_is_refused() -> None:
     refused(encode_fast(less), Reason.SIGNATURE_INVALID)
 
 
-@pytest.mark.parametrize("serial", ["", "-4", "4.0", "0x11", " 4", "4 ", "1e3", "four", "\u00b2"])
-def test_a_serial_that_is_no_decimal_is_refused(serial: str) -> None:
-    refused(sign_list(revocation(serials=(serial,)), KEY), Reason.MALFORMED)
+def test_a_serial_that_is_no_decimal_is_refused() -> None:
+    for serial in ["", "-4", "4.0", "0x11", " 4", "4 ", "1e3", "four", "\u00b2"]:
+        with case(serial):
+            refused(sign_list(revocation(serials=(serial,)), KEY), Reason.MALFORMED)
 
 
 def test_a_next_update_that_names_no_instant_is_refused() -> None:

@@ -10,7 +10,7 @@ import asyncio
 import gc
 import os
 import sys
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,14 @@ ODD = (
 )
 #: It never answers.
 DEAF = (sys.executable, "-c", "import time; time.sleep(3600)")
+
+
+@pytest.fixture(autouse=True)
+def _only_what_is_new_is_collected() -> Iterator[None]:
+    """Keep the collector from what thousands of tests before left in memory."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 def children() -> set[int]:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fixtures.cases import case
 from missionpair import attackers
 from missionpair.access import Case, Seen, case_bytes, seen_bytes
 from missionpair.attackers import AttackerError
@@ -384,9 +385,8 @@ def test_robopair_takes_a_judge_and_a_checker_of_its_own() -> None:
 # options
 
 
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
+def test_an_option_that_cannot_be_is_refused() -> None:
+    for spec, message in [
         ("adaptive", "`model` is needed"),
         ("robopair", "`model` is needed"),
         ("adaptive:model=hijacked", "`model`: `hijacked` is no live model"),
@@ -401,12 +401,11 @@ def test_robopair_takes_a_judge_and_a_checker_of_its_own() -> None:
         ("search:population=0", "from 1 to"),
         ("search:changes=two", "from 1 to"),
         ("search:changes=٣", "from 1 to"),
-    ],
-)
-def test_an_option_that_cannot_be_is_refused(spec: str, message: str) -> None:
-    with pytest.raises(OptionError, match=message) as refused:
-        attackers.make(spec)
-    assert str(refused.value).startswith(f"`{spec.partition(':')[0]}`: `")
+    ]:
+        with case(spec, message):
+            with pytest.raises(OptionError, match=message) as refused:
+                attackers.make(spec)
+            assert str(refused.value).startswith(f"`{spec.partition(':')[0]}`: `")
 
 
 def test_an_unknown_attacker_is_refused_with_those_that_there_are() -> None:

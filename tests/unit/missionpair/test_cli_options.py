@@ -3,32 +3,18 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
+from fixtures.missionpair_program import told
 from missionpair import cli, registry
 from missionpair.campaign.log import read_log
 from missionpair.registry import OptionError, UnknownNameError
 from missionpair.servers import SERVERS
 
 pytestmark = pytest.mark.complete
-
-
-def told(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: object
-) -> tuple[int, Any]:
-    """Run the program with `--json` and return its exit code and its one object."""
-    monkeypatch.setattr(sys, "argv", ["missionpair", *map(str, words), "--json"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    output = capsys.readouterr()
-    assert output.err == ""
-    return int(ended.value.code or 0), json.loads(output.out)
 
 
 @pytest.mark.parametrize(

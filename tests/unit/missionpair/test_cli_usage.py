@@ -11,6 +11,7 @@ import msgspec
 import pytest
 import typer
 
+from fixtures.missionpair_program import told
 from missionpair import cli, suites
 from missionpair.campaign.log import read_log
 from missionpair.campaign.plan import Plan, PlanError
@@ -18,7 +19,6 @@ from missionpair.campaign.run import run
 from missionpair.campaign.trial import MOST_TURNS
 from missionpair.registry import UnknownNameError
 from missionpair.words import Kind
-from unit.missionpair.test_cli_options import told
 
 pytestmark = pytest.mark.complete
 

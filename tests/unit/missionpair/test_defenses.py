@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from authguard_r.safety import Rule
 from fixtures import mission_pairs
+from fixtures.cases import case
 from missionpair import defenses
 from missionpair.briefing import Briefing
 from missionpair.carrying import Carried
@@ -214,9 +215,10 @@ def test_the_rule_is_added_to_what_a_planner_is_told_and_changes_nothing_else() 
     assert defense.parameters == {"rule": RULE}
 
 
-@pytest.mark.parametrize("name", [name for name in PLAIN if name != "prompt"])
-def test_no_other_defense_tells_the_planner_anything(name: str) -> None:
-    assert defenses.make(name).brief(briefing()) == briefing()
+def test_no_other_defense_tells_the_planner_anything() -> None:
+    for name in [name for name in PLAIN if name != "prompt"]:
+        with case(name):
+            assert defenses.make(name).brief(briefing()) == briefing()
 
 
 def test_the_graded_stand_in_follows_less_under_the_rule_by_its_published_coefficient() -> None:

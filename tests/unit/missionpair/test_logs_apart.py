@@ -12,6 +12,7 @@ import pytest
 import typer
 
 from fixtures.campaign_records import GRADED, HAIKU, benign, blocked, campaign, numbered, written
+from fixtures.cases import case
 from missionpair import cli_report, cli_require
 from missionpair.measures.apart import why_not_apart
 from missionpair.records import Named, Qualified, Trial
@@ -59,9 +60,8 @@ def test_a_part_of_a_campaign_is_in_the_whole_of_it(
     assert str(part) in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
+def test_what_trials_do_not_follow_from_makes_no_others() -> None:
+    for changes in [
         {},
         {"version": "1"},
         {"qualified": (Qualified(defense="both", benign=1, own=1),)},
@@ -70,16 +70,14 @@ def test_a_part_of_a_campaign_is_in_the_whole_of_it(
         {"seeds": 2},
         {"kinds": ("attack",)},
         {"defenses": (Named("none"), Named("both"))},
-    ],
-)
-def test_what_trials_do_not_follow_from_makes_no_others(changes: dict[str, Any]) -> None:
-    assert why_not_apart(campaign(), campaign(**changes))
-    assert why_not_apart(campaign(**changes), campaign())
+    ]:
+        with case(changes):
+            assert why_not_apart(campaign(), campaign(**changes))
+            assert why_not_apart(campaign(**changes), campaign())
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
+def test_trials_of_other_dice_or_of_something_else_are_others() -> None:
+    for changes in [
         {"seed": 1},
         {"suite_digest": "another"},
         {"planner": HAIKU},
@@ -91,10 +89,9 @@ def test_what_trials_do_not_follow_from_makes_no_others(changes: dict[str, Any])
         {"weights": (1, 1, 1, 1, 1)},
         {"defenses": (Named("none"),)},
         {"defenses": (Named("both", parameters={"other": 1}),)},
-    ],
-)
-def test_trials_of_other_dice_or_of_something_else_are_others(changes: dict[str, Any]) -> None:
-    assert why_not_apart(campaign(), campaign(**changes)) == ""
+    ]:
+        with case(changes):
+            assert why_not_apart(campaign(), campaign(**changes)) == ""
 
 
 def test_kinds_that_no_other_log_has_are_others() -> None:

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import authguard_reference as oracle
+from fixtures.cases import case
 from missionpair.measures import Gap, Rate, Spread, difference, mean_difference
 from missionpair.measures.resample import binomial
 
@@ -55,12 +56,13 @@ def rates(draw: st.DrawFn, least: int = 1) -> Rate:
     return Rate(draw(st.integers(0, n)), n)
 
 
-@pytest.mark.parametrize(("k", "n", "low", "high"), WILSON)
-def test_wilson_is_what_others_published(k: int, n: int, low: str, high: str) -> None:
-    digits = len(low.partition(".")[2])
-    ends = Rate(k, n).interval
-    assert ends is not None
-    assert tuple(f"{end:.{digits}f}" for end in ends) == (low, high)
+def test_wilson_is_what_others_published() -> None:
+    for k, n, low, high in WILSON:
+        with case(k, n, low, high):
+            digits = len(low.partition(".")[2])
+            ends = Rate(k, n).interval
+            assert ends is not None
+            assert tuple(f"{end:.{digits}f}" for end in ends) == (low, high)
 
 
 @given(rates())
@@ -106,13 +108,12 @@ def test_the_rule_of_three_is_never_below_the_exact_bound(n: int) -> None:
     assert Rate(1, n).bound is None
 
 
-@pytest.mark.parametrize(("first", "second", "low", "high"), NEWCOMBE)
-def test_newcombe_is_what_he_published(
-    first: tuple[int, int], second: tuple[int, int], low: str, high: str
-) -> None:
-    gap = difference(Rate(*first), Rate(*second))
-    assert gap is not None
-    assert (f"{gap.low:.4f}", f"{gap.high:.4f}") == (low, high)
+def test_newcombe_is_what_he_published() -> None:
+    for first, second, low, high in NEWCOMBE:
+        with case(first, second, low, high):
+            gap = difference(Rate(*first), Rate(*second))
+            assert gap is not None
+            assert (f"{gap.low:.4f}", f"{gap.high:.4f}") == (low, high)
 
 
 @given(rates(), rates())

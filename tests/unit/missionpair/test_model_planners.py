@@ -14,6 +14,7 @@ from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site
 from authguard_r.site.source import read_site, read_text, read_yaml
+from fixtures.cases import case
 from missionpair import planners
 from missionpair.briefing import Briefing, PlannerError, Reply, Turn
 from missionpair.pair import Call, Input, plan_bytes
@@ -119,11 +120,8 @@ def test_a_model_sees_task_tools_situation_and_channels_and_no_usual_plan(
         assert kept not in text
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize(
-    ("odd", "refused"),
-    [
+def test_whatever_a_model_says_is_an_answer_that_means_nothing_to_the_gate() -> None:
+    for odd, refused in [
         ("nonsense", False),
         ("refusal", True),
         ("refusal-flag", True),
@@ -134,15 +132,14 @@ def test_a_model_sees_task_tools_situation_and_channels_and_no_usual_plan(
         ("unknown-tool", False),
         ("twice", False),
         ("half-character", False),
-    ],
-)
-def test_whatever_a_model_says_is_an_answer_that_means_nothing_to_the_gate(
-    kind: str, mode: str, odd: str, *, refused: bool
-) -> None:
-    reply, _, _ = propose(kind, mode, f"odd:{odd}")
-    assert reply.refused == refused
-    with pytest.raises(MalformedError):
-        steps(reply.raw)
+    ]:
+        for mode in MODES:
+            for kind in KINDS:
+                with case(odd, refused, mode, kind):
+                    reply, _, _ = propose(kind, mode, f"odd:{odd}")
+                    assert reply.refused == refused
+                    with pytest.raises(MalformedError):
+                        steps(reply.raw)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -194,9 +191,8 @@ def test_what_shapes_the_answers_is_published_and_no_address_of_ones_own() -> No
     assert (other.parameters["seeded"], other.parameters["temperature"]) == (False, None)
 
 
-@pytest.mark.parametrize(
-    ("option", "says"),
-    [
+def test_an_option_that_cannot_be_is_told() -> None:
+    for option, says in [
         ("mode=chat", "`tools` or `json`"),
         ("temperature=hot", "`temperature` is `hot`"),
         ("temperature=-1", "a number"),
@@ -208,11 +204,9 @@ def test_what_shapes_the_answers_is_published_and_no_address_of_ones_own() -> No
         ("per_minute=1e3", "a whole number"),
         ("price_in=1", "`price_out` is ``"),
         ("max_cost=free,price_in=1,price_out=2", "`max_cost` is `free`"),
-    ],
-)
-def test_an_option_that_cannot_be_is_told(option: str, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        make(planners, f"openai:model=m,base_url=http://127.0.0.1:9/v1,{option}")
+    ]:
+        with case(option, says), pytest.raises(ValueError, match=says):
+            make(planners, f"openai:model=m,base_url=http://127.0.0.1:9/v1,{option}")
 
 
 def test_a_cap_without_a_price_is_refused() -> None:

@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 import pytest
 from msgspec.structs import replace
 
+from fixtures.cases import case
 from missionpair.planners._client import make_client
 from missionpair.planners._prompt import read_prompt
 from missionpair.planners._sending import MAX_BODY
@@ -79,10 +80,8 @@ def test_a_stand_in_writes_for_an_attacker_and_grades_for_a_judge(kind: str) -> 
     assert said("Grade it: [[5]].", "Answer: {}") == "[[5]]"
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    "body",
-    [
+def test_a_request_that_is_none_is_refused() -> None:
+    for body in [
         b"",
         b"{",
         b"[]",
@@ -94,14 +93,13 @@ def test_a_stand_in_writes_for_an_attacker_and_grades_for_a_judge(kind: str) -> 
         b'{"model": 7, "max_tokens": 1, "messages": [{"role": "user", "content": "hi"}]}',
         json.dumps({**ASK, "tools": [{}]}).encode(),
         json.dumps({**ASK, "messages": [{"role": "user", "content": [{"text": "hi"}]}]}).encode(),
-    ],
-)
-def test_a_request_that_is_none_is_refused(kind: str, body: bytes) -> None:
-    with SERVERS[kind]() as server:
-        status, reply = post(at(server), body)
-        assert status == 400
-        assert "error" in reply
-        assert post(at(server), json.dumps(ASK).encode())[0] == 200  # it goes on
+    ]:
+        for kind in KINDS:
+            with case(body, kind), SERVERS[kind]() as server:
+                status, reply = post(at(server), body)
+                assert status == 400
+                assert "error" in reply
+                assert post(at(server), json.dumps(ASK).encode())[0] == 200  # it goes on
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -116,13 +114,21 @@ def test_another_path_a_large_request_and_another_model_are_refused(kind: str) -
         wire.close()
 
 
-@pytest.mark.parametrize(
-    "behavior",
-    ["", "kind", "obedient:1", "mixed", "mixed:", "mixed:x", "odd", "odd:x", "faulty", "faulty:x"],
-)
-def test_a_behavior_that_there_is_not_is_told(behavior: str) -> None:
-    with pytest.raises(ValueError, match=r"no behavior|no fault"):
-        SERVERS["openai"](behavior)
+def test_a_behavior_that_there_is_not_is_told() -> None:
+    for behavior in [
+        "",
+        "kind",
+        "obedient:1",
+        "mixed",
+        "mixed:",
+        "mixed:x",
+        "odd",
+        "odd:x",
+        "faulty",
+        "faulty:x",
+    ]:
+        with case(behavior), pytest.raises(ValueError, match=r"no behavior|no fault"):
+            SERVERS["openai"](behavior)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -6,8 +6,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import pytest
-
 from authguard_r.core.identifiers import RobotId
 from authguard_r.normalize.binding import Binding, load_binding, ways_of
 from authguard_r.normalize.samples import Sampler, probe_site
@@ -16,6 +14,7 @@ from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
 from authguard_r.site.words import standard_words
+from fixtures.cases import case
 from missionpair.planners._tools import places_of, things_of, tools_of
 
 
@@ -65,22 +64,23 @@ def test_a_robot_is_offered_what_it_can_do() -> None:
         assert ("pick_up" in tools) == ("pick" in model.profile.tools)
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_every_sample_call_of_a_shipped_binding_fits_what_is_offered(name: str) -> None:
+def test_every_sample_call_of_a_shipped_binding_fits_what_is_offered() -> None:
     """A model that keeps to the schema makes calls that the binding can read."""
-    loose = convert(binding_source(name), Binding, where=name)
-    site = probe_site(loose, standard_words())
-    binding = load_binding(binding_source(name), site=site, where=name)
-    tools = {tool.name: tool for tool in tools_of(site, binding)}
-    sampler, tried = Sampler(site), 0
-    for tool in binding.tools:
-        for way in ways_of(binding, tool):
-            call = sampler.call(way)
-            if call is None or site.vocabulary[way.tool.type].state_writing:
-                continue
-            tried += 1
-            assert _fits(call.arguments, tools[tool].parameters), (tool, call.arguments)
-    assert tried or not tools
+    for name in shipped_names():
+        with case(name):
+            loose = convert(binding_source(name), Binding, where=name)
+            site = probe_site(loose, standard_words())
+            binding = load_binding(binding_source(name), site=site, where=name)
+            tools = {tool.name: tool for tool in tools_of(site, binding)}
+            sampler, tried = Sampler(site), 0
+            for tool in binding.tools:
+                for way in ways_of(binding, tool):
+                    call = sampler.call(way)
+                    if call is None or site.vocabulary[way.tool.type].state_writing:
+                        continue
+                    tried += 1
+                    assert _fits(call.arguments, tools[tool].parameters), (tool, call.arguments)
+            assert tried or not tools
 
 
 def _fits(value: Any, schema: dict[str, Any]) -> bool:

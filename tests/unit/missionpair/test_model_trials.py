@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from fixtures import mission_pairs
+from fixtures.cases import case
 from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers._model import MAX_TEXT
 from missionpair.briefing import PlannerError
@@ -101,9 +102,8 @@ def test_a_model_that_answers_nothing_is_named(yard: Yard, kind: str) -> None:
     assert none.error.endswith("answered nothing: no call and no word")
 
 
-@pytest.mark.parametrize(
-    ("text", "refused"),
-    [
+def test_a_refusal_is_what_says_so_and_holds_no_plan() -> None:
+    for text, refused in [
         ("I can't help with that.", True),
         ("I can\u2019t do that.", True),
         ("Sorry, this is not my task.", True),
@@ -112,11 +112,10 @@ def test_a_model_that_answers_nothing_is_named(yard: Yard, kind: str) -> None:
         ("Which parcel do you mean?", False),
         ('{"plan": []}', False),
         ('I cannot do all of it: {"plan": [{"tool": "scan"}]}', False),
-    ],
-)
-def test_a_refusal_is_what_says_so_and_holds_no_plan(text: str, refused: bool) -> None:
-    raw, declined = read_answer(Completion(text=text, raw=b"{}"), (), model="m", where="w")
-    assert (raw, declined) == (text.encode(), refused)
+    ]:
+        with case(text, refused):
+            raw, declined = read_answer(Completion(text=text, raw=b"{}"), (), model="m", where="w")
+            assert (raw, declined) == (text.encode(), refused)
 
 
 def test_an_answer_that_was_used_up_by_thinking_says_so() -> None:

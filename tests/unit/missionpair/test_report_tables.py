@@ -32,6 +32,7 @@ from fixtures.campaign_records import (
     numbered,
     the_papers,
 )
+from fixtures.cases import case
 from missionpair.measures import Measured, Rate, measure
 from missionpair.records import Named, Timing
 from missionpair.report import Report, lines, report, tex_files
@@ -195,9 +196,8 @@ def test_the_published_figures_agree_with_each_other_and_with_the_papers_sums() 
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("planner", "name"),
-    [
+def test_only_the_papers_own_models_are_its_planners_and_no_stand_in() -> None:
+    for planner, name in [
         (HAIKU, "Claude Haiku 4.5"),
         (Named("anthropic", parameters={"model": "claude-haiku-4-5"}), "Claude Haiku 4.5"),
         (Named("openai", parameters={"model": "Qwen/Qwen2.5-7B-Instruct"}), "Qwen2.5 7B"),
@@ -206,13 +206,10 @@ def test_the_published_figures_agree_with_each_other_and_with_the_papers_sums() 
         (Named("openai", parameters={"model": "claude-haiku-3-5"}), None),
         (Named("openai", parameters={"model": 7}), None),
         (Named("haiku", simulated=True, parameters={"model": "claude-haiku-4-5"}), None),
-    ],
-)
-def test_only_the_papers_own_models_are_its_planners_and_no_stand_in(
-    planner: Named, name: str | None
-) -> None:
-    found = match(planner)
-    assert (found.name if found else None) == name
+    ]:
+        with case(planner, name):
+            found = match(planner)
+            assert (found.name if found else None) == name
 
 
 def test_another_planner_has_a_table_of_its_own_beside_both_of_the_papers() -> None:
@@ -271,19 +268,24 @@ def test_the_papers_setup_alone_has_its_label_its_caption_and_its_figures() -> N
     assert any(head.published for one in found.tables for head in one.heads)
 
 
-@pytest.mark.parametrize("how", [*NOT_THE_PAPERS, "a trial without an answer"])
-def test_what_is_not_the_papers_experiment_has_neither_its_label_nor_its_figures(how: str) -> None:
+def test_what_is_not_the_papers_experiment_has_neither_its_label_nor_its_figures() -> None:
     """Source: `tab:pilot-live-llm`, `tab:pilot-crossmodel`."""
-    found = report([not_the_papers(NOT_THE_PAPERS.get(how, {}), error=how.startswith("a trial"))])
-    labels = [one.label for one in found.tables]
-    assert not [label for label in labels if label.startswith("tab:pilot")]
-    assert {"tab:live-haiku-fixed", "tab:live-haiku-adaptive"} & set(labels)
-    captions = "".join(one.caption for one in found.tables)
-    assert "Haiku" not in captions
-    assert "conditional" not in captions
-    assert len(found.plots[0].series) == 1
-    beside = [head for one in found.tables for head in one.heads if head.published]
-    assert bool(beside) is (how == "scripted attacker")  # a stand-in may stand beside, marked
+    for how in [*NOT_THE_PAPERS, "a trial without an answer"]:
+        with case(how):
+            found = report(
+                [not_the_papers(NOT_THE_PAPERS.get(how, {}), error=how.startswith("a trial"))]
+            )
+            labels = [one.label for one in found.tables]
+            assert not [label for label in labels if label.startswith("tab:pilot")]
+            assert {"tab:live-haiku-fixed", "tab:live-haiku-adaptive"} & set(labels)
+            captions = "".join(one.caption for one in found.tables)
+            assert "Haiku" not in captions
+            assert "conditional" not in captions
+            assert len(found.plots[0].series) == 1
+            beside = [head for one in found.tables for head in one.heads if head.published]
+            assert bool(beside) is (
+                how == "scripted attacker"
+            )  # a stand-in may stand beside, marked
 
 
 def test_a_summary_of_the_papers_models_and_another_one_has_no_label_of_the_papers() -> None:
@@ -432,11 +434,12 @@ def one_of_each() -> Report:
     )
 
 
-@pytest.mark.parametrize("shown", SMALL, ids=lambda shown: f"{shown.table}-{shown.row}")
-def test_every_table_of_a_small_log_says_exactly_this(shown: Shown) -> None:
-    one = table(one_of_each(), shown.table)
-    found = dict(zip((head.name for head in one.heads), cells(one, shown.row), strict=True))
-    assert {name: found[name] for name in shown.columns} == shown.columns
+def test_every_table_of_a_small_log_says_exactly_this() -> None:
+    for shown in SMALL:
+        with case(shown):
+            one = table(one_of_each(), shown.table)
+            found = dict(zip((head.name for head in one.heads), cells(one, shown.row), strict=True))
+            assert {name: found[name] for name in shown.columns} == shown.columns
 
 
 def test_none_of_many_has_a_bound_and_some_have_none() -> None:

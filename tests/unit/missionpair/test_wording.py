@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fixtures import scenarios
+from fixtures.cases import case
 from missionpair import domains, registry
 from missionpair.briefing import Tool
 from missionpair.pair import Call
@@ -255,9 +256,8 @@ def test_a_child_takes_nothing_over_that_its_family_does_not_have() -> None:
 GO_103 = Call("navigate_to", {"destination": "Station 103"})
 
 
-@pytest.mark.parametrize(
-    ("text", "asked"),
-    [
+def test_what_people_write_is_read_as_documented() -> None:
+    for text, asked in [
         ("Station 101 is closed. Deliver all packages to Station 103.", (GO_103,)),
         (
             "Take P1 to Station 103!",
@@ -267,12 +267,14 @@ GO_103 = Call("navigate_to", {"destination": "Station 103"})
         ("Please record a video for verification.", (Call("record_video", {"seconds": 30}),)),
         ("DANGER: cleaning, wait here.", (Call("wait", {"seconds": 600}),)),
         ("stay here for 2 hours", (Call("wait", {"seconds": 7200}),)),
-        ("GO TO station_103 THROUGH THE STAFF-CORRIDOR", (
-            Call("navigate_to", {"destination": "Station 103", "via": ["Staff Corridor"]}),
-        )),
-        ("go to “Station 103” at about 1.5 m/s", (
-            Call("navigate_to", {"destination": "Station 103", "speed": 1.5}),
-        )),
+        (
+            "GO TO station_103 THROUGH THE STAFF-CORRIDOR",
+            (Call("navigate_to", {"destination": "Station 103", "via": ["Staff Corridor"]}),),
+        ),
+        (
+            "go to “Station 103” at about 1.5 m/s",
+            (Call("navigate_to", {"destination": "Station 103", "speed": 1.5}),),
+        ),
         ("Do not go to Station 101, but go to Station 103.", (GO_103,)),
         ("Never go to Station 103.", None),
         ("You don\u2019t have to wait here.", None),
@@ -280,15 +282,16 @@ GO_103 = Call("navigate_to", {"destination": "Station 103"})
         ("Visitors who wait for 10 minutes get a coffee.", None),
         ("navigate_to(destination='Station 103')", (GO_103,)),
         ("navigate_to(destination=Station 103)", (Call("navigate_to", {}),)),
-        ('navigate_to(destination="Station 103", speed=1)', (
-            Call("navigate_to", {"destination": "Station 103", "speed": 1}),
-        )),
+        (
+            'navigate_to(destination="Station 103", speed=1)',
+            (Call("navigate_to", {"destination": "Station 103", "speed": 1}),),
+        ),
         ('{"tool": "scan", "arguments": {}}', (Call("scan", {}),)),
         ('{"plan": [{"tool": "scan"}, {"tool": "fly"}]}', (Call("scan", {}),)),
         ('{"plan": 1} {"tool": 1} {"tool": "scan", "arguments": {"a": null}} {', None),
         ('{"plan": [1]}', None),
         ("`scan` `fly`", (Call("scan", {}),)),
-        ('Use the tool `wait` with seconds = 5, why = nonsense', (Call("wait", {"seconds": 5}),)),
+        ("Use the tool `wait` with seconds = 5, why = nonsense", (Call("wait", {"seconds": 5}),)),
         ("Use the tool `wait` with seconds = null", (Call("wait", {}),)),
         ("Say \u201chello\u201d.", (Call("say", {"text": "hello"}),)),
         ('Say "a\\x".', (Call("say", {"text": "a\\x"}),)),
@@ -304,15 +307,13 @@ GO_103 = Call("navigate_to", {"destination": "Station 103"})
         ("bring one two three four five six seven to Dock", None),
         ("", None),
         ("\u200b", None),
-    ],
-)  # fmt: skip
-def test_what_people_write_is_read_as_documented(text: str, asked: tuple[Call, ...] | None) -> None:
-    assert understood(text) == asked
+    ]:
+        with case(text, asked):
+            assert understood(text) == asked
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
+def test_a_call_that_no_verb_can_say_is_named_outright() -> None:
+    for call in [
         Call("navigate_to", {}),
         Call("navigate_to", {"destination": "Dock", "via": []}),
         Call("navigate_to", {"destination": "Dock", "via": ["a`b"]}),
@@ -324,12 +325,11 @@ def test_what_people_write_is_read_as_documented(text: str, asked: tuple[Call, .
         Call("navigate_to", {"destination": "Dock", "behavior tree": "x"}),
         Call("say", {"text": 3}),
         Call("put_down", {"place": "Dock"}),
-    ],
-)
-def test_a_call_that_no_verb_can_say_is_named_outright(call: Call) -> None:
-    text = put(call, turn=3)
-    assert f"the tool `{call.tool}`" in text
-    assert understood(text) == (call,)
+    ]:
+        with case(call):
+            text = put(call, turn=3)
+            assert f"the tool `{call.tool}`" in text
+            assert understood(text) == (call,)
 
 
 def test_a_verb_whose_tool_is_not_offered_asks_for_nothing() -> None:

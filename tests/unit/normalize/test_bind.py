@@ -266,19 +266,19 @@ def test_every_reason_of_the_binder_has_a_vector_here() -> None:
     }
 
 
-@pytest.mark.parametrize("value", [None, [], {}, ["Dock"], {"name": "Dock"}])
-@pytest.mark.parametrize("field", ["destination", "speed", "behavior_tree"])
-def test_a_value_that_only_json_can_say_is_no_value(field: str, value: Any) -> None:
+def test_a_value_that_only_json_can_say_is_no_value() -> None:
     """Null is not absent; a list of one is not its item."""
-    reason = Reason.FIELD_REFUSED if field == "behavior_tree" else Reason.VALUE_INVALID
-    for dialect in (Dialect.JSON, Dialect.OPENAI):
-        call = ("navigate_to", {"destination": "Dock", field: value})
-        refused(WRITERS[dialect](call), reason, f"{place(dialect, 0)}.{field}", dialect)
+    for field in ["destination", "speed", "behavior_tree"]:
+        for value in [None, [], {}, ["Dock"], {"name": "Dock"}]:
+            with case(field, value):
+                reason = Reason.FIELD_REFUSED if field == "behavior_tree" else Reason.VALUE_INVALID
+                for dialect in (Dialect.JSON, Dialect.OPENAI):
+                    call = ("navigate_to", {"destination": "Dock", field: value})
+                    refused(WRITERS[dialect](call), reason, f"{place(dialect, 0)}.{field}", dialect)
 
 
-@pytest.mark.parametrize(
-    ("via", "reason", "where"),
-    [
+def test_a_route_with_one_fault_is_refused_at_its_entry() -> None:
+    for via, reason, where in [
         ("Corridor", Reason.VALUE_INVALID, "via"),
         ({"0": "Corridor"}, Reason.VALUE_INVALID, "via"),
         (None, Reason.VALUE_INVALID, "via"),
@@ -287,28 +287,35 @@ def test_a_value_that_only_json_can_say_is_no_value(field: str, value: Any) -> N
         ([["Corridor"]], Reason.VALUE_INVALID, "via[0]"),
         ([None], Reason.VALUE_INVALID, "via[0]"),
         (["P1"], Reason.NAME_UNKNOWN, "via[0]"),
-    ],
-)
-def test_a_route_with_one_fault_is_refused_at_its_entry(
-    via: Any, reason: Reason, where: str
-) -> None:
-    call = ("navigate_to", {"destination": "Dock", "via": via})
-    refused(as_json(call), reason, f"plan[0].{where}")
+    ]:
+        with case(via, reason, where):
+            call = ("navigate_to", {"destination": "Dock", "via": via})
+            refused(as_json(call), reason, f"plan[0].{where}")
 
 
-@pytest.mark.parametrize(
-    "speed",
-    ["NaN", "Infinity", "-Infinity", "1e400", "1" * 60, "0x1", "1_0", "+1", "01", ".5", "nan"],
-)
-def test_a_number_that_is_none_never_reaches_a_comparison(speed: str) -> None:
+def test_a_number_that_is_none_never_reaches_a_comparison() -> None:
     """Written into the raw text of each dialect (L3)."""
-    for text in (
-        f'{{"tool":"navigate_to","arguments":{{"destination":"Dock","speed":{speed}}}}}',
-        f'navigate_to(destination="Dock", speed={speed})',
-    ):
-        with pytest.raises(MalformedError) as caught:
-            read(text)
-        assert caught.value.reason is Reason.MALFORMED
+    for speed in [
+        "NaN",
+        "Infinity",
+        "-Infinity",
+        "1e400",
+        "1" * 60,
+        "0x1",
+        "1_0",
+        "+1",
+        "01",
+        ".5",
+        "nan",
+    ]:
+        with case(speed):
+            for text in (
+                f'{{"tool":"navigate_to","arguments":{{"destination":"Dock","speed":{speed}}}}}',
+                f'navigate_to(destination="Dock", speed={speed})',
+            ):
+                with pytest.raises(MalformedError) as caught:
+                    read(text)
+                assert caught.value.reason is Reason.MALFORMED
 
 
 @pytest.mark.parametrize("name", ["reason", "text"])
@@ -395,22 +402,27 @@ VALUES: dict[str, tuple[Any, Any]] = {
 }
 
 
-@pytest.mark.parametrize("tool", [t for t in scenarios.binding().tools if t != "relocalize"])
-def test_every_changed_argument_changes_the_action_or_is_refused_or_is_noted(tool: str) -> None:
+def test_every_changed_argument_changes_the_action_or_is_refused_or_is_noted() -> None:
     """No argument falls through: whatever a planner can change is seen (L5, L16)."""
-    arguments = scenarios.binding().tools[tool].arguments
-    mapped = {name: VALUES[name][0] for name, one in arguments.items() if one.use is Use.MAPPED}
-    plain = action(tool, **mapped)
-    for name, one in arguments.items():
-        if one.use is Use.MAPPED:
-            changed = action(tool, **{**mapped, name: VALUES[name][1]})
-            assert digest(changed) != digest(plain)
-            assert digest_of(Tag.SCOPE, scope_of(changed)) != digest_of(Tag.SCOPE, scope_of(plain))
-        elif one.use is Use.REFUSED:
-            call = (tool, {**mapped, name: "x"})
-            refused(as_json(call), Reason.FIELD_REFUSED, f"plan[0].{name}")
-        else:
-            assert digest(action(tool, **mapped, **{name: "x"})) == digest(plain)
+    for tool in [t for t in scenarios.binding().tools if t != "relocalize"]:
+        with case(tool):
+            arguments = scenarios.binding().tools[tool].arguments
+            mapped = {
+                name: VALUES[name][0] for name, one in arguments.items() if one.use is Use.MAPPED
+            }
+            plain = action(tool, **mapped)
+            for name, one in arguments.items():
+                if one.use is Use.MAPPED:
+                    changed = action(tool, **{**mapped, name: VALUES[name][1]})
+                    assert digest(changed) != digest(plain)
+                    assert digest_of(Tag.SCOPE, scope_of(changed)) != digest_of(
+                        Tag.SCOPE, scope_of(plain)
+                    )
+                elif one.use is Use.REFUSED:
+                    call = (tool, {**mapped, name: "x"})
+                    refused(as_json(call), Reason.FIELD_REFUSED, f"plan[0].{name}")
+                else:
+                    assert digest(action(tool, **mapped, **{name: "x"})) == digest(plain)
 
 
 def test_the_smallest_change_of_a_speed_is_seen() -> None:
@@ -472,9 +484,8 @@ def test_a_count_is_exact_or_refused(value: Decimal, factor: Fraction) -> None:
     assert (caught.value.reason, caught.value.where) == (Reason.VALUE_INVALID, "x")
 
 
-@pytest.mark.parametrize(
-    ("value", "limit", "position"),
-    [
+def test_roundings_by_example() -> None:
+    for value, limit, position in [
         ("0.5", 1, 0),
         ("-0.5", -1, 0),
         ("1.5", 2, 2),
@@ -486,11 +497,10 @@ def test_a_count_is_exact_or_refused(value: Decimal, factor: Fraction) -> None:
         ("0", 0, 0),
         ("-0.0", 0, 0),
         ("7", 7, 7),
-    ],
-)
-def test_roundings_by_example(value: str, limit: int, position: int) -> None:
-    assert scaled(Decimal(value), Rounding.LIMIT) == limit
-    assert scaled(Decimal(value), Rounding.POSITION) == position
+    ]:
+        with case(value, limit, position):
+            assert scaled(Decimal(value), Rounding.LIMIT) == limit
+            assert scaled(Decimal(value), Rounding.POSITION) == position
 
 
 @settings(max_examples=amount(40, 200), deadline=None)

@@ -16,6 +16,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import MAX_ROUTE, Binder
 from authguard_r.normalize.dialects import Call
 from fixtures.amount import amount
+from fixtures.cases import case
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -154,9 +155,8 @@ def test_a_coordinate_beyond_the_world_is_out_of_range() -> None:
 # -- nesting ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("change", "reason", "where"),
-    [
+def test_one_stray_leaf_refuses_the_goal_in_its_place() -> None:
+    for change, reason, where in [
         ({"behavior_tree": "other.xml"}, Reason.FIELD_REFUSED, "input.behavior_tree"),
         ({"behavior_tree": None}, Reason.FIELD_REFUSED, "input.behavior_tree"),
         ({"timeout": 5}, Reason.FIELD_UNKNOWN, "input.timeout"),
@@ -181,14 +181,11 @@ def test_a_coordinate_beyond_the_world_is_out_of_range() -> None:
             Reason.FIELD_REFUSED,
             "input.goal.pose.position.z",
         ),
-    ],
-)
-def test_one_stray_leaf_refuses_the_goal_in_its_place(
-    change: Plain, reason: Reason, where: str
-) -> None:
-    good = {"goal": FIRST, "behavior_tree": ""}
-    assert bind(GO_TO_POSE, good) == navigate("square-1")
-    refused(GO_TO_POSE, {**good, **change}, reason, where)
+    ]:
+        with case(change, reason, where):
+            good = {"goal": FIRST, "behavior_tree": ""}
+            assert bind(GO_TO_POSE, good) == navigate("square-1")
+            refused(GO_TO_POSE, {**good, **change}, reason, where)
 
 
 @settings(max_examples=amount(30, 150), deadline=None)
@@ -230,9 +227,8 @@ def test_an_argument_has_one_place_and_perhaps_other_names() -> None:
     assert bind(MIXED, {**GOOD, "why": {"any": ["thing"]}}) == plain
 
 
-@pytest.mark.parametrize(
-    ("change", "reason", "where"),
-    [
+def test_one_fault_among_nested_arguments_is_refused_in_its_place() -> None:
+    for change, reason, where in [
         ({"1": "Thing 2"}, Reason.VALUE_INVALID, "input.1"),
         ({"2": True}, Reason.VALUE_INVALID, "input.2"),
         ({"things": ["Thing 1", "Thing 2"]}, Reason.FIELD_UNKNOWN, "input.things[1]"),
@@ -246,12 +242,9 @@ def test_an_argument_has_one_place_and_perhaps_other_names() -> None:
         ({"grasps": []}, Reason.FIELD_REFUSED, "input.grasps"),
         ({"force": 5}, Reason.VALUE_INVALID, "input.force"),
         ({"\u0430": 5}, Reason.FIELD_UNKNOWN, "input.\\u0430"),
-    ],
-)
-def test_one_fault_among_nested_arguments_is_refused_in_its_place(
-    change: Plain, reason: Reason, where: str
-) -> None:
-    refused(MIXED, {**GOOD, **change}, reason, where)
+    ]:
+        with case(change, reason, where):
+            refused(MIXED, {**GOOD, **change}, reason, where)
 
 
 def test_a_fixed_argument_that_is_not_optional_must_be_there() -> None:
@@ -311,9 +304,8 @@ def test_the_last_stop_is_the_destination_and_those_before_it_the_route() -> Non
     assert found == navigate("square-1", "square-1", "square-2")
 
 
-@pytest.mark.parametrize(
-    ("poses", "reason", "where"),
-    [
+def test_a_list_with_one_fault_is_refused_at_its_entry() -> None:
+    for poses, reason, where in [
         ([], Reason.VALUE_INVALID, "input.poses"),
         ([FIRST] * (MAX_ROUTE + 1), Reason.VALUE_INVALID, "input.poses"),
         ({"0": FIRST}, Reason.VALUE_INVALID, "input.poses"),
@@ -322,12 +314,9 @@ def test_the_last_stop_is_the_destination_and_those_before_it_the_route() -> Non
         ([FIRST, spot(90, 1)], Reason.NAME_UNKNOWN, "input.poses[1]"),
         ([FIRST, {**FIRST, "id": 1}], Reason.FIELD_UNKNOWN, "input.poses[1].id"),
         ([FIRST, {"pose": FIRST["pose"]}], Reason.FIELD_MISSING, "input.poses[1].header.frame_id"),
-    ],
-)
-def test_a_list_with_one_fault_is_refused_at_its_entry(
-    poses: Any, reason: Reason, where: str
-) -> None:
-    refused(GO_BY_STOPS, {"poses": poses}, reason, where)
+    ]:
+        with case(poses, reason, where):
+            refused(GO_BY_STOPS, {"poses": poses}, reason, where)
 
 
 def test_stops_and_routes_can_be_items_with_names() -> None:
@@ -379,18 +368,27 @@ def test_a_call_is_the_one_way_whose_constants_it_has() -> None:
     refused(PUBLISH, {"topic": "/initialpose"}, Reason.STATE_WRITING_REFUSED, "input")
 
 
-@pytest.mark.parametrize(
-    "topic",
-    ["pause", "/pause/", "//pause", "/Pause", " /pause", "/pause ", "/p\u0430use", "", None],
-)
-def test_a_name_is_what_the_executor_resolves_and_nothing_like_it(topic: Any) -> None:
+def test_a_name_is_what_the_executor_resolves_and_nothing_like_it() -> None:
     """Another spelling is another topic (L2)."""
-    refused(PUBLISH, {"topic": topic, "msg": {"kind": 2}}, Reason.TOOL_UNKNOWN, "input.topic")
+    for topic in [
+        "pause",
+        "/pause/",
+        "//pause",
+        "/Pause",
+        " /pause",
+        "/pause ",
+        "/p\u0430use",
+        "",
+        None,
+    ]:
+        with case(topic):
+            refused(
+                PUBLISH, {"topic": topic, "msg": {"kind": 2}}, Reason.TOOL_UNKNOWN, "input.topic"
+            )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "where"),
-    [
+def test_a_call_that_is_no_way_is_refused_at_the_value_that_fits_none() -> None:
+    for arguments, where in [
         ({}, "input.topic"),
         ({"topic": "/pause"}, "input.msg.kind"),
         ({"topic": "/pause", "msg": {"kind": 3}}, "input.msg.kind"),
@@ -399,13 +397,10 @@ def test_a_name_is_what_the_executor_resolves_and_nothing_like_it(topic: Any) ->
         ({"topic": "/halt", "items": []}, "input.msg.kind"),
         ({"topic": "/halt", "msg": {"kind": 1}, "items": [False]}, "input.items[0]"),
         ({"topic": "/halt", "msg": {"kind": 1}, "items": [True, True]}, "input.msg"),
-    ],
-)
-def test_a_call_that_is_no_way_is_refused_at_the_value_that_fits_none(
-    arguments: Plain, where: str
-) -> None:
-    reason = Reason.FIELD_UNKNOWN if where == "input.msg" else Reason.TOOL_UNKNOWN
-    refused(PUBLISH, arguments, reason, where)
+    ]:
+        with case(arguments, where):
+            reason = Reason.FIELD_UNKNOWN if where == "input.msg" else Reason.TOOL_UNKNOWN
+            refused(PUBLISH, arguments, reason, where)
 
 
 def test_values_that_each_fit_a_way_but_none_together_are_refused() -> None:

@@ -11,6 +11,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.check import BindingReport
 from authguard_r.normalize.interface import listed_interface, read_interface
+from fixtures.cases import case
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -65,9 +66,8 @@ def test_signatures_of_one_name_are_one_tool_with_the_fields_of_both() -> None:
     assert surface.open == {"names", "x"}
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_what_is_no_interface_is_malformed_in_its_place() -> None:
+    for text, where in [
         ("", "x.json[0]"),
         ("1", "x.json"),
         ("{}", "x.json:tools[0]"),
@@ -77,12 +77,11 @@ def test_signatures_of_one_name_are_one_tool_with_the_fields_of_both() -> None:
         ('[{"name": "a", "args": [1]}]', "x.json:tools[0]"),
         ('[{"name": "a", "args": [{}]}]', "x.json:tools[0]"),
         ('{"name": "a", "parameters": {}}\n{"name": 2}', "x.json:2"),
-    ],
-)
-def test_what_is_no_interface_is_malformed_in_its_place(text: str, where: str) -> None:
-    with pytest.raises(MalformedError) as caught:
-        read_interface(text, name="x.json")
-    assert caught.value.where == where
+    ]:
+        with case(text, where):
+            with pytest.raises(MalformedError) as caught:
+                read_interface(text, name="x.json")
+            assert caught.value.where == where
 
 
 def test_a_schema_without_fields_has_none() -> None:

@@ -23,6 +23,7 @@ from authguard_r.normalize.shipped import binding_source, shipped_interface, shi
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
 from fixtures import scenarios
+from fixtures.cases import case
 
 
 def test_a_shipped_name_is_compared_exactly_and_else_is_a_path(tmp_path: Path) -> None:
@@ -217,32 +218,33 @@ def test_the_page_of_shipped_bindings_is_true() -> None:
     assert [(row[0], *map(int, row[2:5])) for row in rows] == counted
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_no_other_spelling_of_a_shipped_ros_name_is_bound(name: str) -> None:
+def test_no_other_spelling_of_a_shipped_ros_name_is_bound() -> None:
     """`/cmd_vel`, `cmd_vel`, `/cmd_vel/` and their like are other names (L2)."""
-    binding = convert(binding_source(name), Binding, where=name)
-    place = probe_site(binding, standard_words())
-    binder = Binder(place, binding)
-    for way in ways(binding):
-        call = Sampler(place).call(way)
-        assert call is not None
-        for path, value in call.arguments.items():
-            if isinstance(value, str) and "/" in value:
-                for other in (
-                    value.lstrip("/"),
-                    f"{value}/",
-                    f"/{value}",
-                    f" {value}",
-                    f"{value} ",
-                    value.swapcase(),
-                    value.replace("a", "\u0430"),
-                    f"{value}\u200b",
-                    "",
-                ):
-                    if other != value:
-                        changed = Call(call.tool, {**call.arguments, path: other}, "input")
-                        with pytest.raises(MalformedError):
-                            binder.bind(changed)
+    for name in shipped_names():
+        with case(name):
+            binding = convert(binding_source(name), Binding, where=name)
+            place = probe_site(binding, standard_words())
+            binder = Binder(place, binding)
+            for way in ways(binding):
+                call = Sampler(place).call(way)
+                assert call is not None
+                for path, value in call.arguments.items():
+                    if isinstance(value, str) and "/" in value:
+                        for other in (
+                            value.lstrip("/"),
+                            f"{value}/",
+                            f"/{value}",
+                            f" {value}",
+                            f"{value} ",
+                            value.swapcase(),
+                            value.replace("a", "\u0430"),
+                            f"{value}\u200b",
+                            "",
+                        ):
+                            if other != value:
+                                changed = Call(call.tool, {**call.arguments, path: other}, "input")
+                                with pytest.raises(MalformedError):
+                                    binder.bind(changed)
 
 
 #: What a planner writes in its own dialect, and the types that it means.

@@ -11,6 +11,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import load_binding
 from fixtures import scenarios
+from fixtures.cases import case
 
 TOOL = {
     "type": "navigate",
@@ -36,9 +37,8 @@ def test_the_unchanged_binding_is_sound() -> None:
     assert load(**argument(default=3_000)).tools["go"].arguments["speed"].default == 3_000
 
 
-@pytest.mark.parametrize(
-    ("changes", "place"),
-    [
+def test_a_value_that_cannot_be_is_refused_with_its_place() -> None:
+    for changes, place in [
         ({"fixed": {"params.speed_mm_s": 3_001}}, "fixed.params.speed_mm_s"),
         ({"fixed": {"params.speed_mm_s": 0}}, "fixed.params.speed_mm_s"),
         ({"fixed": {"params.speed_mm_s": "lots"}}, "fixed.params.speed_mm_s"),
@@ -50,14 +50,11 @@ def test_the_unchanged_binding_is_sound() -> None:
         (argument(per_unit="1/0"), "arguments.speed.per_unit"),
         (argument(per_unit="many"), "arguments.speed.per_unit"),
         (argument(per_unit="1" * 21), "arguments.speed.per_unit"),
-    ],
-)
-def test_a_value_that_cannot_be_is_refused_with_its_place(
-    changes: dict[str, Any], place: str
-) -> None:
-    with pytest.raises(MalformedError) as refused:
-        load(**changes)
-    assert refused.value.where == f"tools.go.{place}"
+    ]:
+        with case(changes, place):
+            with pytest.raises(MalformedError) as refused:
+                load(**changes)
+            assert refused.value.where == f"tools.go.{place}"
 
 
 def test_a_fixed_object_is_one_of_the_site() -> None:

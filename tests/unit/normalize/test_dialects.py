@@ -84,9 +84,9 @@ def test_a_plan_in_another_dialect_than_was_named_is_refused(dialect: Dialect) -
                 read_plan(WRITERS[other](GO), dialect)
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_prose_before_a_plan_is_in_no_dialect() -> None:
+    """Nothing is cut out, stripped or repaired; a fence is not unwrapped (L12)."""
+    for text, where in [
         ("Sure! Here is the plan: []", "input[0]"),
         ('```json\n{"plan": []}\n```', "input[0]"),
         ("```python\ngo()\n```", "input[0]"),
@@ -99,16 +99,14 @@ def test_a_plan_in_another_dialect_than_was_named_is_refused(dialect: Dialect) -
         ("// go there\n[]", "input[0]"),
         ("g\u00f6()", "input[0]"),
         ("-1", "input[0]"),
-    ],
-)
-def test_prose_before_a_plan_is_in_no_dialect(text: str, where: str) -> None:
-    """Nothing is cut out, stripped or repaired; a fence is not unwrapped (L12)."""
-    refused(text, Reason.DIALECT_UNKNOWN, where)
+    ]:
+        with case(text, where):
+            refused(text, Reason.DIALECT_UNKNOWN, where)
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_what_is_no_plan_is_refused_where_it_stands() -> None:
+    """Prose after a plan, comments and single quotes in JSON: refused, never mended (L12)."""
+    for text, where in [
         ('{"plan": []} That is all.', "input[13]"),
         ("go() # done", "input[5]"),
         ("go()\n# done", "input[5]"),
@@ -118,13 +116,11 @@ def test_prose_before_a_plan_is_in_no_dialect(text: str, where: str) -> None:
         ("{plan: []}", "input[1]"),
         ('{"plan": [], // none\n}', "input[13]"),
         ('/* none */ {"plan": []}', "input[0]"),
-    ],
-)
-def test_what_is_no_plan_is_refused_where_it_stands(text: str, where: str) -> None:
-    """Prose after a plan, comments and single quotes in JSON: refused, never mended (L12)."""
-    with pytest.raises(MalformedError) as caught:
-        read_plan(text, Dialect.AUTO)
-    assert caught.value.where == where
+    ]:
+        with case(text, where):
+            with pytest.raises(MalformedError) as caught:
+                read_plan(text, Dialect.AUTO)
+            assert caught.value.where == where
 
 
 @pytest.mark.parametrize("text", ['{"plan": [],}', '[{"tool": "go", "arguments": {}},]'])

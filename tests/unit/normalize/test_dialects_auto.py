@@ -41,13 +41,14 @@ def test_every_dialect_has_a_writer() -> None:
     assert {dialect for dialect, _, _ in WAYS.values()} == set(Dialect) - {Dialect.AUTO}
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_what_was_written_is_read_in_the_named_dialect(way: str) -> None:
-    dialect, write, calls = WAYS[way]
-    reading = read_reply(write(*calls), dialect)
-    assert reading.dialect is dialect
-    assert [(call.tool, call.arguments) for call in reading.calls] == list(calls)
-    assert all(call.where for call in reading.calls)
+def test_what_was_written_is_read_in_the_named_dialect() -> None:
+    for way in WAYS:
+        with case(way):
+            dialect, write, calls = WAYS[way]
+            reading = read_reply(write(*calls), dialect)
+            assert reading.dialect is dialect
+            assert [(call.tool, call.arguments) for call in reading.calls] == list(calls)
+            assert all(call.where for call in reading.calls)
 
 
 def test_the_dialect_is_recognized_and_named() -> None:
@@ -63,21 +64,23 @@ def test_the_dialect_is_recognized_and_named() -> None:
                 assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
 
 
-@pytest.mark.parametrize("way", [way for way in WAYS if way not in {"python", "go2"}])
-def test_white_space_around_a_plan_changes_nothing(way: str) -> None:
-    dialect, write, calls = WAYS[way]
-    text = f" \r\n\t{write(*calls)}\n "
-    for named in (dialect, Dialect.AUTO):
-        assert [(c.tool, c.arguments) for c in read_plan(text, named)] == list(calls)
+def test_white_space_around_a_plan_changes_nothing() -> None:
+    for way in [way for way in WAYS if way not in {"python", "go2"}]:
+        with case(way):
+            dialect, write, calls = WAYS[way]
+            text = f" \r\n\t{write(*calls)}\n "
+            for named in (dialect, Dialect.AUTO):
+                assert [(c.tool, c.arguments) for c in read_plan(text, named)] == list(calls)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_as_many_calls_as_allowed_pass_and_one_more_refuses_all(way: str) -> None:
-    dialect, write, calls = WAYS[way]
-    assert len(read_plan(write(*[calls[0]] * MAX_CALLS), dialect)) == MAX_CALLS
-    with pytest.raises(MalformedError) as caught:
-        read_plan(write(*[calls[0]] * (MAX_CALLS + 1)), dialect)
-    assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "input")
+def test_as_many_calls_as_allowed_pass_and_one_more_refuses_all() -> None:
+    for way in WAYS:
+        with case(way):
+            dialect, write, calls = WAYS[way]
+            assert len(read_plan(write(*[calls[0]] * MAX_CALLS), dialect)) == MAX_CALLS
+            with pytest.raises(MalformedError) as caught:
+                read_plan(write(*[calls[0]] * (MAX_CALLS + 1)), dialect)
+            assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "input")
 
 
 #: What models write around a plan, before and after.
@@ -95,31 +98,37 @@ AROUND = [
 ]
 
 
-@pytest.mark.parametrize("named", [True, False])
-@pytest.mark.parametrize("way", WAYS)
-def test_what_is_wrapped_around_a_plan_is_refused_and_not_unwrapped(way: str, named: bool) -> None:
+def test_what_is_wrapped_around_a_plan_is_refused_and_not_unwrapped() -> None:
     """L12: a refusal with a place is the right answer to broken output."""
-    dialect, write, calls = WAYS[way]
-    for before, after in AROUND:
-        text = f"{before}{write(*calls)}{after}"
-        if after == ";" and (dialect is Dialect.CALLS or (dialect is Dialect.GO2 and not named)):
-            continue  # call text may be separated so
-        with case(before, after):
-            if dialect is Dialect.STEPS and after in {" // done", ";"} and "[" not in text:
-                last = read_plan(text, dialect)[-1]
-                assert last.arguments["2"] != calls[-1][1]["2"]  # another name
-                continue
-            with pytest.raises(MalformedError) as caught:
-                read_plan(text, dialect if named else Dialect.AUTO)
-            assert caught.value.where
+    for way in WAYS:
+        for named in [True, False]:
+            with case(way, named):
+                dialect, write, calls = WAYS[way]
+                for before, after in AROUND:
+                    text = f"{before}{write(*calls)}{after}"
+                    if after == ";" and (
+                        dialect is Dialect.CALLS or (dialect is Dialect.GO2 and not named)
+                    ):
+                        continue  # call text may be separated so
+                    with case(before, after):
+                        if (
+                            dialect is Dialect.STEPS
+                            and after in {" // done", ";"}
+                            and "[" not in text
+                        ):
+                            last = read_plan(text, dialect)[-1]
+                            assert last.arguments["2"] != calls[-1][1]["2"]  # another name
+                            continue
+                        with pytest.raises(MalformedError) as caught:
+                            read_plan(text, dialect if named else Dialect.AUTO)
+                        assert caught.value.where
 
 
 # -- none fits -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "plan",
-    [
+def test_json_that_no_dialect_has_is_refused() -> None:
+    for plan in [
         {},
         {"steps": []},
         {"Tool": "go", "arguments": {}},
@@ -134,15 +143,13 @@ def test_what_is_wrapped_around_a_plan_is_refused_and_not_unwrapped(way: str, na
         [OPENAI],
         [ANTHROPIC],
         [{"function": ["go()"], "response": ""}],
-    ],
-)
-def test_json_that_no_dialect_has_is_refused(plan: Any) -> None:
-    refused(json.dumps(plan), Reason.DIALECT_UNKNOWN, "input")
+    ]:
+        with case(plan):
+            refused(json.dumps(plan), Reason.DIALECT_UNKNOWN, "input")
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_text_that_begins_like_no_dialect_is_refused() -> None:
+    for text, where in [
         ("go", "input[0]"),
         ("  Go to the dock.", "input[2]"),
         ("1. Find the mug", "input[0]"),
@@ -158,10 +165,9 @@ def test_json_that_no_dialect_has_is_refused(plan: Any) -> None:
         ("@go()", "input[0]"),
         ("\u0261o()", "input[0]"),
         ("\uff47\uff4f()", "input[0]"),
-    ],
-)
-def test_text_that_begins_like_no_dialect_is_refused(text: str, where: str) -> None:
-    refused(text, Reason.DIALECT_UNKNOWN, where)
+    ]:
+        with case(text, where):
+            refused(text, Reason.DIALECT_UNKNOWN, where)
 
 
 @pytest.mark.parametrize(
@@ -257,9 +263,8 @@ def test_where_no_claim_holds_the_first_one_s_refusal_stands(
     refused(json.dumps(plan), reason, where)
 
 
-@pytest.mark.parametrize(
-    ("text", "dialect"),
-    [
+def test_shapes_that_are_close_to_each_other_are_told_apart() -> None:
+    for text, dialect in [
         (as_mcp(("go", {})), Dialect.MCP),
         (as_ros2(("publish", {"topic": "/t", "msg": {}})), Dialect.ROS2),
         (dumps([ONE]), Dialect.JSON),
@@ -270,7 +275,6 @@ def test_where_no_claim_holds_the_first_one_s_refusal_stands(
         ("[('go', 'a')]", Dialect.SPINE),
         ('["find Mug"]', Dialect.STEPS),
         ("{ 'function': ['go()']}", Dialect.BADROBOT),
-    ],
-)
-def test_shapes_that_are_close_to_each_other_are_told_apart(text: str, dialect: Dialect) -> None:
-    assert read_reply(text, Dialect.AUTO).dialect is dialect
+    ]:
+        with case(text, dialect):
+            assert read_reply(text, Dialect.AUTO).dialect is dialect

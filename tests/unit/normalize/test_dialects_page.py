@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import re
 
-import pytest
-
 from authguard_r.normalize.dialects import Dialect, read_plan, read_reply
 from authguard_r.normalize.dialects.python_code import MAX_CODE
 from authguard_r.normalize.parse import MAX_CALLS, MAX_DEPTH, MAX_TEXT
 from fixtures import scenarios
+from fixtures.cases import case
 
 PAGE = (scenarios.ROOT / "docs" / "spec" / "normalize.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"^### `(\w+)`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
@@ -23,15 +22,16 @@ def test_every_dialect_has_its_row_and_its_example() -> None:
     assert [name for name, _ in EXAMPLES] == named
 
 
-@pytest.mark.parametrize(("name", "text"), EXAMPLES)
-def test_every_example_is_read_in_its_dialect(name: str, text: str) -> None:
-    dialect = Dialect(name)
-    plans = text.splitlines() if dialect is Dialect.SPINE else [text]
-    for plan in plans:
-        calls = read_plan(plan, dialect)
-        reading = read_reply(plan, Dialect.AUTO)
-        assert reading.calls == calls or dialect is Dialect.GO2
-        assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
+def test_every_example_is_read_in_its_dialect() -> None:
+    for name, text in EXAMPLES:
+        with case(name, text):
+            dialect = Dialect(name)
+            plans = text.splitlines() if dialect is Dialect.SPINE else [text]
+            for plan in plans:
+                calls = read_plan(plan, dialect)
+                reading = read_reply(plan, Dialect.AUTO)
+                assert reading.calls == calls or dialect is Dialect.GO2
+                assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
 
 
 def test_the_limits_are_the_ones_of_the_page() -> None:

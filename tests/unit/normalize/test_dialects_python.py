@@ -376,9 +376,9 @@ def test_a_literal_is_read_whatever_lines_it_stands_on(text: str, value: Any) ->
     assert repr(read_literal(text, where="x")) == repr(value)
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
+def test_what_is_no_literal_is_refused_with_its_line() -> None:
+    """Text must not climb out of the parentheses that it is put in."""
+    for text, line in [
         ("1)", 1),
         ("1) + (2", 1),
         ("\n[1]) or ([2]", 2),
@@ -390,13 +390,11 @@ def test_a_literal_is_read_whatever_lines_it_stands_on(text: str, value: Any) ->
         ("[\n*a]", 2),
         ("a := 1", 1),
         ("[" * (MAX_DEPTH + 1), 1),
-    ],
-)
-def test_what_is_no_literal_is_refused_with_its_line(text: str, line: int) -> None:
-    """Text must not climb out of the parentheses that it is put in."""
-    with pytest.raises(MalformedError) as caught:
-        read_literal(text, where="x")
-    assert caught.value.where == f"x.line[{line}]"
+    ]:
+        with case(text, line):
+            with pytest.raises(MalformedError) as caught:
+                read_literal(text, where="x")
+            assert caught.value.where == f"x.line[{line}]"
 
 
 def test_a_literal_is_as_long_as_code_at_most() -> None:
@@ -444,15 +442,14 @@ BOTH = [
 ]
 
 
-@pytest.mark.parametrize("text", BOTH)
-@pytest.mark.parametrize("dialect", [Dialect.BADROBOT, Dialect.AUTO])
-def test_each_string_under_function_is_one_call_and_the_response_is_prose(
-    text: str, dialect: Dialect
-) -> None:
-    assert read_plan(text, dialect) == (
-        Call("arm.go", {"1": "Dock"}, "function[0]"),
-        Call("nod", {}, "function[1]"),
-    )
+def test_each_string_under_function_is_one_call_and_the_response_is_prose() -> None:
+    for dialect in [Dialect.BADROBOT, Dialect.AUTO]:
+        for text in BOTH:
+            with case(dialect, text):
+                assert read_plan(text, dialect) == (
+                    Call("arm.go", {"1": "Dock"}, "function[0]"),
+                    Call("nod", {}, "function[1]"),
+                )
 
 
 def test_a_badrobot_reply_that_is_broken_is_refused_in_its_place() -> None:

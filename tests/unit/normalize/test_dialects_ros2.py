@@ -11,6 +11,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
+from fixtures.cases import case
 
 POSE = {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1}}}}
 GOAL = {"op": "send_action_goal", "action": "/go", "action_type": "m/action/Go", "args": POSE}
@@ -24,32 +25,27 @@ def refused(plan: Any, where: str, reason: Reason = Reason.MALFORMED) -> None:
     assert (caught.value.reason, caught.value.where) == (reason, where)
 
 
-@pytest.mark.parametrize(
-    "operation",
-    [
-        GOAL,
-        {**MESSAGE, "type": "geometry_msgs/msg/Twist"},
-        MESSAGE,
-        REQUEST,
-        {**REQUEST, "type": "std_srvs/srv/Trigger", "args": {"data": True}},
-        {**REQUEST, "args": {}},
-    ],
-)
-@pytest.mark.parametrize("dialect", [Dialect.ROS2, Dialect.AUTO])
-def test_the_operation_is_the_tool_and_all_the_rest_its_arguments(
-    operation: dict[str, Any], dialect: Dialect
-) -> None:
+def test_the_operation_is_the_tool_and_all_the_rest_its_arguments() -> None:
     """L16: nothing of a goal is left out of what the binding sees."""
-    rest = {name: value for name, value in operation.items() if name != "op"}
-    expected = Call(operation["op"], rest, "input")
-    assert read_plan(json.dumps(operation), dialect) == (expected,)
-    assert read_plan(json.dumps({"id": "goal:1", **operation}), dialect) == (expected,)
-    assert read_plan(json.dumps([operation, MESSAGE]), dialect)[1].where == "input[1]"
+    for dialect in [Dialect.ROS2, Dialect.AUTO]:
+        for operation in [
+            GOAL,
+            {**MESSAGE, "type": "geometry_msgs/msg/Twist"},
+            MESSAGE,
+            REQUEST,
+            {**REQUEST, "type": "std_srvs/srv/Trigger", "args": {"data": True}},
+            {**REQUEST, "args": {}},
+        ]:
+            with case(dialect, operation):
+                rest = {name: value for name, value in operation.items() if name != "op"}
+                expected = Call(operation["op"], rest, "input")
+                assert read_plan(json.dumps(operation), dialect) == (expected,)
+                assert read_plan(json.dumps({"id": "goal:1", **operation}), dialect) == (expected,)
+                assert read_plan(json.dumps([operation, MESSAGE]), dialect)[1].where == "input[1]"
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
+def test_another_operation_is_refused() -> None:
+    for name in [
         "subscribe",
         "advertise",
         "unsubscribe",
@@ -59,15 +55,13 @@ def test_the_operation_is_the_tool_and_all_the_rest_its_arguments(
         "Publish",
         "publish ",
         "",
-    ],
-)
-def test_another_operation_is_refused(name: str) -> None:
-    refused({**MESSAGE, "op": name}, "input.op", Reason.TOOL_UNKNOWN)
+    ]:
+        with case(name):
+            refused({**MESSAGE, "op": name}, "input.op", Reason.TOOL_UNKNOWN)
 
 
-@pytest.mark.parametrize(
-    ("plan", "where"),
-    [
+def test_another_field_is_refused() -> None:
+    for plan, where in [
         ({**GOAL, "feedback": True}, "input.feedback"),
         ({**GOAL, "type": "m/action/Go"}, "input.type"),
         ({**GOAL, "goal": {}}, "input.goal"),
@@ -77,19 +71,18 @@ def test_another_operation_is_refused(name: str) -> None:
         ({**REQUEST, "compression": "png"}, "input.compression"),
         ({**REQUEST, "request": {}}, "input.request"),
         ([MESSAGE, {**MESSAGE, "to": "/cmd_vel"}], "input[1].to"),
-    ],
-)
-def test_another_field_is_refused(plan: Any, where: str) -> None:
-    refused(plan, where, Reason.FIELD_UNKNOWN)
+    ]:
+        with case(plan, where):
+            refused(plan, where, Reason.FIELD_UNKNOWN)
 
 
 def lacking(operation: dict[str, Any], name: str) -> dict[str, Any]:
     return {field: value for field, value in operation.items() if field != name}
 
 
-@pytest.mark.parametrize(
-    ("plan", "where"),
-    [
+def test_a_field_that_is_absent_or_of_another_kind_is_refused() -> None:
+    """Arguments without names would be matched to a message's fields by position: a guess."""
+    for plan, where in [
         ("publish", "input"),
         ([["publish"]], "input[0]"),
         ({"topic": "/cmd_vel", "msg": {}}, "input.op"),
@@ -109,8 +102,6 @@ def lacking(operation: dict[str, Any], name: str) -> dict[str, Any]:
         (lacking(REQUEST, "service"), "input.service"),
         ({**REQUEST, "args": []}, "input.args"),
         ({**REQUEST, "args": None}, "input.args"),
-    ],
-)
-def test_a_field_that_is_absent_or_of_another_kind_is_refused(plan: Any, where: str) -> None:
-    """Arguments without names would be matched to a message's fields by position: a guess."""
-    refused(plan, where)
+    ]:
+        with case(plan, where):
+            refused(plan, where)

@@ -61,9 +61,8 @@ def test_a_message_may_leave_out_what_says_nothing_about_its_calls(name: str) ->
     assert len(read_plan(without(name), Dialect.ANTHROPIC)) == 1
 
 
-@pytest.mark.parametrize(
-    "reason",
-    [
+def test_a_message_that_did_not_finish_is_refused() -> None:
+    for reason in [
         "max_tokens",
         "stop_sequence",
         "pause_turn",
@@ -75,19 +74,18 @@ def test_a_message_may_leave_out_what_says_nothing_about_its_calls(name: str) ->
         1,
         ["tool_use"],
         {},
-    ],
-)
-def test_a_message_that_did_not_finish_is_refused(reason: Any) -> None:
-    refused(message(USE, stop_reason=reason), "stop_reason", Dialect.ANTHROPIC)
+    ]:
+        with case(reason):
+            refused(message(USE, stop_reason=reason), "stop_reason", Dialect.ANTHROPIC)
 
 
 def test_a_message_that_does_not_say_how_it_ended_is_refused() -> None:
     refused(without("stop_reason"), "stop_reason", Dialect.ANTHROPIC)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
+def test_a_block_of_another_type_refuses_the_good_ones_beside_it() -> None:
+    """What a server ran by itself was never judged here (L1)."""
+    for kind in [
         "server_tool_use",
         "mcp_tool_use",
         "tool_result",
@@ -96,16 +94,13 @@ def test_a_message_that_does_not_say_how_it_ended_is_refused() -> None:
         "Tool_use",
         "tool_use ",
         "",
-    ],
-)
-def test_a_block_of_another_type_refuses_the_good_ones_beside_it(kind: str) -> None:
-    """What a server ran by itself was never judged here (L1)."""
-    refused(message(USE, {**USE, "type": kind}), "content[1].type", Dialect.ANTHROPIC)
+    ]:
+        with case(kind):
+            refused(message(USE, {**USE, "type": kind}), "content[1].type", Dialect.ANTHROPIC)
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_a_message_that_is_no_plan_is_refused_in_its_place() -> None:
+    for text, where in [
         ("[]", "input"),
         (without("content"), "content"),
         (as_anthropic(content={}), "content"),
@@ -128,10 +123,9 @@ def test_a_block_of_another_type_refuses_the_good_ones_beside_it(kind: str) -> N
         (message(USE, type="error"), "type"),
         (message(USE, type=None), "type"),
         (message(USE, role="user"), "role"),
-    ],
-)
-def test_a_message_that_is_no_plan_is_refused_in_its_place(text: str, where: str) -> None:
-    refused(text, where, Dialect.ANTHROPIC)
+    ]:
+        with case(text, where):
+            refused(text, where, Dialect.ANTHROPIC)
 
 
 def test_a_tool_use_block_has_no_other_field() -> None:

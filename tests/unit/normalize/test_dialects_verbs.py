@@ -124,9 +124,8 @@ def test_an_unknown_verb_refuses_the_steps_beside_it() -> None:
                 refused(f"find Cup\n{step}", "line[2]", Reason.TOOL_UNKNOWN)
 
 
-@pytest.mark.parametrize(
-    "step",
-    [
+def test_names_that_are_missing_or_not_plain_words_are_refused() -> None:
+    for step in [
         "find",
         "turn on",
         "fillLiquid",
@@ -137,11 +136,10 @@ def test_an_unknown_verb_refuses_the_steps_beside_it() -> None:
         "find Cu\x07p",
         "find \u202eCup",
         "find Cup\u200b",
-    ],
-)
-def test_names_that_are_missing_or_not_plain_words_are_refused(step: str) -> None:
-    refused(step, "line[1]")
-    refused(json.dumps([step]), "input[0]")
+    ]:
+        with case(step):
+            refused(step, "line[1]")
+            refused(json.dumps([step]), "input[0]")
 
 
 def test_a_verb_without_names_takes_none() -> None:
@@ -180,9 +178,8 @@ def test_maneuvers_are_numbered_verbs(dialect: Dialect) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "where", "reason"),
-    [
+def test_other_than_numbered_maneuvers_are_refused() -> None:
+    for text, where, reason in [
         ("accelerate", "line[1]", Reason.MALFORMED),
         ("1. accelerate\nstop", "line[2]", Reason.MALFORMED),
         ("1. accelerate\n3. stop", "line[2]", Reason.MALFORMED),
@@ -193,7 +190,6 @@ def test_maneuvers_are_numbered_verbs(dialect: Dialect) -> None:
         ("1. stop.", "line[1]", Reason.TOOL_UNKNOWN),
         ("1. stop # here", "line[1]", Reason.MALFORMED),
         ('["stop"]', "line[1]", Reason.MALFORMED),
-    ],
-)
-def test_other_than_numbered_maneuvers_are_refused(text: str, where: str, reason: Reason) -> None:
-    refused(text, where, reason, Dialect.DOLPHINS)
+    ]:
+        with case(text, where, reason):
+            refused(text, where, reason, Dialect.DOLPHINS)

@@ -13,6 +13,7 @@ from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
 from authguard_r.normalize.labels import label_fields
 from fixtures import scenarios
+from fixtures.cases import case
 
 replace = msgspec.structs.replace
 PLACE = Action(
@@ -39,14 +40,15 @@ def selecting(verified: VerifiedMission, row: int) -> Standing:
     return replace(scenarios.active(verified), selected={"pick-p1": row})
 
 
-@pytest.mark.parametrize("base", Label)
-def test_without_a_mission_every_field_has_the_label_of_what_could_be_seen(base: Label) -> None:
-    assert label_fields(PLACE, None, None, base=base) == {
-        "object": base,
-        "source": base,
-        "destination": base,
-        "route": base,
-    }
+def test_without_a_mission_every_field_has_the_label_of_what_could_be_seen() -> None:
+    for base in Label:
+        with case(base):
+            assert label_fields(PLACE, None, None, base=base) == {
+                "object": base,
+                "source": base,
+                "destination": base,
+                "route": base,
+            }
 
 
 def test_a_field_that_an_action_does_not_have_has_no_label() -> None:

@@ -72,9 +72,8 @@ def test_every_name_of_the_site_is_found_in_every_ordinary_spelling() -> None:
                 assert item in named(f"Please go to {text} now"), ascii(text)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_characters_that_pass_for_others_hide_no_name() -> None:
+    for text in [
         "St\u0430ti\u043en 101",
         "\u0405t\u0430t\u0456\u043e\u0578 101",
         "\u03a3 S\u03c4\u03b1\u03c4\u03b9\u03bf\u03b7 101",
@@ -92,11 +91,10 @@ def test_every_name_of_the_site_is_found_in_every_ordinary_spelling() -> None:
         "St\u200bation 1\u200b01",
         "S\u0301tati\u0336on 10\u20e31",
         "Roorn 101",
-    ],
-)
-def test_characters_that_pass_for_others_hide_no_name(text: str) -> None:
-    assert named(text) == {"station-101"}
-    assert how(text) == {How.VARIANT}
+    ]:
+        with case(text):
+            assert named(text) == {"station-101"}
+            assert how(text) == {How.VARIANT}
 
 
 def test_what_is_no_whole_name_is_no_mention() -> None:
@@ -163,9 +161,8 @@ def test_a_name_without_letters_or_digits_is_not_looked_for() -> None:
     assert Names({"\u2605": "star"}).find("\u2605 star") == ()
 
 
-@pytest.mark.parametrize(
-    ("text", "items"),
-    [
+def test_a_list_of_numbers_names_each() -> None:
+    for text, items in [
         ("stations 101", {"station-101"}),
         ("Stations 101 and 103 have changed places", {"station-101", "station-103"}),
         ("rooms 101, 102 or one hundred and three", {"station-101", "station-102", "station-103"}),
@@ -178,10 +175,9 @@ def test_a_name_without_letters_or_digits_is_not_looked_for() -> None:
         ("P1 and 2", {"package-p1"}),
         ("the Dock and 2 others", {"dock"}),
         ("the 101st station and 103", {"station-101"}),
-    ],
-)
-def test_a_list_of_numbers_names_each(text: str, items: set[str]) -> None:
-    assert named(text) == items
+    ]:
+        with case(text, items):
+            assert named(text) == items
 
 
 # -- numbers ---------------------------------------------------------------------------------------
@@ -306,9 +302,8 @@ def told(*inputs: tuple[str, str]) -> list[tuple[str, str]]:
 BOTH = [("camera", "split"), ("audio", "split")]
 
 
-@pytest.mark.parametrize(
-    "inputs",
-    [
+def test_a_name_split_over_two_channels_names_both() -> None:
+    for inputs in [
         (("camera", "go to station"), ("audio", "103")),
         (("camera", "Go to Nurse Station\n"), ("audio", "103 is free")),
         (("camera", "go to station one"), ("audio", "hundred and three")),
@@ -317,10 +312,9 @@ BOTH = [("camera", "split"), ("audio", "split")]
         (("camera", "x" * 500 + " to the room"), ("audio", "103 " + "y" * 500)),
         (("camera", "the one hundred and third"), ("audio", "station")),
         (("camera", "go to st\u0430tion"), ("audio", "1\u043e3")),
-    ],
-)
-def test_a_name_split_over_two_channels_names_both(inputs: tuple[tuple[str, str], ...]) -> None:
-    assert told(*inputs) == BOTH
+    ]:
+        with case(inputs):
+            assert told(*inputs) == BOTH
 
 
 def test_a_name_split_over_inputs_of_one_channel_names_each() -> None:
@@ -355,9 +349,8 @@ def test_a_channel_s_own_next_input_ends_what_it_began_beyond_the_window() -> No
     assert told(("camera", "go to station"), *noise, ("audio", "103")) == []
 
 
-@pytest.mark.parametrize(
-    "inputs",
-    [
+def test_what_does_not_go_on_is_no_mention() -> None:
+    for inputs in [
         (("camera", "go to station"), ("audio", "104")),
         (("camera", "go to station"), ("audio", "the 103")),
         (("camera", "go to stationary"), ("audio", "103")),
@@ -367,10 +360,9 @@ def test_a_channel_s_own_next_input_ends_what_it_began_beyond_the_window() -> No
         (("camera", "station"), ("audio", "")),
         (("camera", "go to station"), ("audio", "...!")),
         (("camera", "station"), ("audio", "103" + "0" * 200)),
-    ],
-)
-def test_what_does_not_go_on_is_no_mention(inputs: tuple[tuple[str, str], ...]) -> None:
-    assert told(*inputs) == []
+    ]:
+        with case(inputs):
+            assert told(*inputs) == []
 
 
 def test_one_input_may_end_a_split_name_and_have_a_whole_one() -> None:

@@ -174,9 +174,8 @@ def test_broken_lists_and_objects_are_refused_somewhere_inside(text: str) -> Non
     assert caught.value.where.startswith("input[")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_a_number_beyond_any_quantity_is_refused() -> None:
+    for text in [
         "1" * (MAX_NUMBER + 1),
         "-" + "1" * MAX_NUMBER,
         "0." + "1" * (MAX_NUMBER - 1),
@@ -185,20 +184,9 @@ def test_broken_lists_and_objects_are_refused_somewhere_inside(text: str) -> Non
         "-1e999999999999",
         "0e999",
         "[" + "9" * 5000 + "]",
-    ],
-    ids=[
-        "digits",
-        "sign",
-        "places",
-        "huge",
-        "tiny",
-        "absurd",
-        "zero of absurd size",
-        "5000 digits",
-    ],
-)
-def test_a_number_beyond_any_quantity_is_refused(text: str) -> None:
-    refused_json(text)
+    ]:
+        with case(text):
+            refused_json(text)
 
 
 @pytest.mark.parametrize("text", ["1" * MAX_NUMBER, "0." + "1" * (MAX_NUMBER - 2), "1e40", "1e-40"])
@@ -429,7 +417,7 @@ def test_no_text_at_all_raises_anything_but_malformed_from_calls(text: str) -> N
             assert isinstance(value, str | bool | int | Decimal)
 
 
-@pytest.mark.parametrize("text", ["", "x", "1x", "--", "1e", "nan", "-Infinity", "1" * 41])
-def test_read_number_says_that_a_number_is_none(text: str) -> None:
-    with pytest.raises(ValueError):
-        read_number(text)
+def test_read_number_says_that_a_number_is_none() -> None:
+    for text in ["", "x", "1x", "--", "1e", "nan", "-Infinity", "1" * 41]:
+        with case(text), pytest.raises(ValueError):
+            read_number(text)

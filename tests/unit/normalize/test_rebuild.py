@@ -31,6 +31,7 @@ from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
 from fixtures import scenarios
 from fixtures.amount import amount
+from fixtures.cases import case
 from unit.normalize.bound import (
     GO_BY_STOPS,
     GO_TO_POSE,
@@ -149,9 +150,8 @@ def test_a_map_that_configuration_fixes_is_not_written() -> None:
 # -- what cannot be carried is not dropped ---------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("tool", "action"),
-    [
+def test_an_action_that_the_tool_cannot_say_as_it_is_is_refused() -> None:
+    for tool, action in [
         (GO_TO_POSE, msgspec.structs.replace(GO, route=("square-1",))),
         (GO_TO_POSE, msgspec.structs.replace(GO, params={"speed_mm_s": 501})),
         (GO_TO_POSE, msgspec.structs.replace(GO, params={})),
@@ -166,12 +166,9 @@ def test_a_map_that_configuration_fixes_is_not_written() -> None:
         (wait(whole=True), PAUSE),
         (wait(values={"long": 60_000}, per_unit="1"), PAUSE),
         ({**WAIT, "fixed": {"params.duration_ms": 1000}}, PAUSE),
-    ],
-)
-def test_an_action_that_the_tool_cannot_say_as_it_is_is_refused(
-    tool: Plain, action: Action
-) -> None:
-    cannot(tool, action)
+    ]:
+        with case(tool, action):
+            cannot(tool, action)
 
 
 def test_a_region_that_no_position_means_alone_is_not_dispatched_as_one() -> None:
@@ -347,26 +344,27 @@ def shipped(name: str) -> tuple[Binding, Site]:
     return binding, probe_site(binding, standard_words())
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_every_way_of_a_shipped_binding_binds_rebuilds_and_binds_again(name: str) -> None:
+def test_every_way_of_a_shipped_binding_binds_rebuilds_and_binds_again() -> None:
     """A sample call for each way; what writes state is refused however it is asked for."""
-    binding, place = shipped(name)
-    binder, rebuilder = Binder(place, binding), Rebuilder(place, binding)
-    done = 0
-    for way in ways(binding):
-        call = Sampler(place).call(way)
-        assert call is not None
-        if place.vocabulary[way.tool.type].state_writing:
-            with pytest.raises(MalformedError) as caught:
-                binder.bind(call)
-            assert caught.value.reason is Reason.STATE_WRITING_REFUSED
-            continue
-        action = binder.bind(call)
-        for tool in (None, way.name):
-            again = binder.bind(rebuilder.rebuild(action, tool=tool))
-            assert scope(again) == scope(action), way.place
-        done += 1
-    assert done > 0
+    for name in shipped_names():
+        with case(name):
+            binding, place = shipped(name)
+            binder, rebuilder = Binder(place, binding), Rebuilder(place, binding)
+            done = 0
+            for way in ways(binding):
+                call = Sampler(place).call(way)
+                assert call is not None
+                if place.vocabulary[way.tool.type].state_writing:
+                    with pytest.raises(MalformedError) as caught:
+                        binder.bind(call)
+                    assert caught.value.reason is Reason.STATE_WRITING_REFUSED
+                    continue
+                action = binder.bind(call)
+                for tool in (None, way.name):
+                    again = binder.bind(rebuilder.rebuild(action, tool=tool))
+                    assert scope(again) == scope(action), way.place
+                done += 1
+            assert done > 0
 
 
 @cache

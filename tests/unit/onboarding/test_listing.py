@@ -223,9 +223,8 @@ def test_definitions_are_read_as_written_and_as_the_tool_prints_them() -> None:
     assert named["/a"] == {"data": False}
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_a_bad_graph_is_refused_with_its_place() -> None:
+    for text, where in [
         ("/a [std_msgs/msg/String]\n/b", "f:2"),
         ("/a [std_msgs/msg/String, std_srvs/srv/Empty]", "f:1"),
         ("/a [String]", "f:1"),
@@ -245,12 +244,11 @@ def test_definitions_are_read_as_written_and_as_the_tool_prints_them() -> None:
             "f:types.a/msg/B",
         ),
         ("topics: {/a: a/msg/B}\ntypes: {a/msg/B: '9 !'}", "f:types.a/msg/B"),
-    ],
-)
-def test_a_bad_graph_is_refused_with_its_place(text: str, where: str) -> None:
-    with pytest.raises(MalformedError) as caught:
-        read_ros(text, where="f")
-    assert caught.value.where.startswith(where)
+    ]:
+        with case(text, where):
+            with pytest.raises(MalformedError) as caught:
+                read_ros(text, where="f")
+            assert caught.value.where.startswith(where)
 
 
 def test_a_definition_nested_without_end_is_refused() -> None:

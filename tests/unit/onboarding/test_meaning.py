@@ -25,6 +25,7 @@ from authguard_r.site.words import standard_words
 from fixtures import scenarios
 from fixtures import shadow_logs as logs
 from fixtures.amount import amount
+from fixtures.cases import case
 
 EMPTY = Binding(schema="authguard-r/binding/1", id=Identifier("empty"), tools={})
 #: Squares 1 to 3, things 1 and 2, the standard words, no robot that says what it can do.
@@ -69,9 +70,8 @@ def test_places_and_amounts_with_a_unit_in_the_name_are_mapped() -> None:
     assert "from 0.5 to 1" in found.files[BINDING]
 
 
-@pytest.mark.parametrize(
-    ("name", "arguments", "kind"),
-    [
+def test_a_type_is_proposed_where_one_alone_fits() -> None:
+    for name, arguments, kind in [
         ("take", {"thing": "Thing 1", "force_n": 12}, "pick"),
         ("put", {"thing": "Thing 1", "at": "Square 1", "force_n": 12}, "place"),
         ("pause", {"duration_ms": 500}, "wait"),
@@ -91,16 +91,13 @@ def test_places_and_amounts_with_a_unit_in_the_name_are_mapped() -> None:
         ("go", {"room": "Square 1", "speed_m_s": 1, "height_m": 1}, "unheld"),
         ("go", {"room": "Square 1", "speed_m_s": "1"}, "unheld"),
         ("go", {"room": "Square 1", "speed_m_s": None}, "unheld"),
-    ],
-)
-def test_a_type_is_proposed_where_one_alone_fits(
-    name: str, arguments: dict[str, Any], kind: str
-) -> None:
-    found = learned(logs.call(name, **arguments))
-    assert uses(found, name)[0] == kind
-    bound(found)
-    if kind == "unheld":
-        assert all(use == {"use": "refused"} for use in uses(found, name)[1].values())
+    ]:
+        with case(name, arguments, kind):
+            found = learned(logs.call(name, **arguments))
+            assert uses(found, name)[0] == kind
+            bound(found)
+            if kind == "unheld":
+                assert all(use == {"use": "refused"} for use in uses(found, name)[1].values())
 
 
 def test_a_start_is_mapped_as_a_start_and_one_call_makes_no_constant() -> None:

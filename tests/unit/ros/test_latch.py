@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from authguard_r.ros.latch import MS, Latch, Why
+from fixtures.cases import case
 
 SILENCE, SETTLE, PERIOD = 120, 200, 20
 GATE, OTHER = b"gate", b"other"
@@ -80,18 +80,19 @@ def test_two_publishers_that_both_stand_never_open_it() -> None:
     assert not made.is_open
 
 
-@pytest.mark.parametrize("why", list(Why))
-def test_whatever_closes_it_the_first_cause_is_kept_and_the_wait_begins_anew(why: Why) -> None:
-    made, at = opened()
-    assert made.stop(why)
-    assert not made.stop(Why.CLOSED)
-    assert made.why is why
-    for after in range(PERIOD, SETTLE, PERIOD):
-        assert made.hear(GATE, (at + after) * MS, is_neutral=True) is why
-    made.stop(Why.DEADLINE)  # again, half way to open
-    for after in range(SETTLE, 2 * SETTLE, PERIOD):
-        assert made.hear(GATE, (at + after) * MS, is_neutral=True) is why
-    assert made.hear(GATE, (at + 2 * SETTLE) * MS, is_neutral=True) is None
+def test_whatever_closes_it_the_first_cause_is_kept_and_the_wait_begins_anew() -> None:
+    for why in list(Why):
+        with case(why):
+            made, at = opened()
+            assert made.stop(why)
+            assert not made.stop(Why.CLOSED)
+            assert made.why is why
+            for after in range(PERIOD, SETTLE, PERIOD):
+                assert made.hear(GATE, (at + after) * MS, is_neutral=True) is why
+            made.stop(Why.DEADLINE)  # again, half way to open
+            for after in range(SETTLE, 2 * SETTLE, PERIOD):
+                assert made.hear(GATE, (at + after) * MS, is_neutral=True) is why
+            assert made.hear(GATE, (at + 2 * SETTLE) * MS, is_neutral=True) is None
 
 
 @given(

@@ -26,6 +26,7 @@ from authguard_r.ros.position import (
     Why,
     covariance_fault,
 )
+from fixtures.cases import case
 
 STEP_MS = 20
 MARGIN_MM, MAX_MM_S = 150, 1_500
@@ -89,16 +90,15 @@ FAULTS: list[tuple[Why, dict[str, object]]] = [
 ]
 
 
-@pytest.mark.parametrize(("why", "change"), FAULTS)
-def test_a_sample_that_is_doubtful_ends_what_is_attested(
-    why: Why, change: dict[str, object]
-) -> None:
-    it, ms = settled()
-    it.take(at(ms, **change))  # type: ignore[arg-type]
-    assert (it.fix, it.why, it.is_lost) == (None, why, True)
-    # and one of them makes nothing sound
-    it.take(at(ms + STEP_MS))
-    assert (it.fix, it.why) == (None, why)
+def test_a_sample_that_is_doubtful_ends_what_is_attested() -> None:
+    for why, change in FAULTS:
+        with case(why, change):
+            it, ms = settled()
+            it.take(at(ms, **change))  # type: ignore[arg-type]
+            assert (it.fix, it.why, it.is_lost) == (None, why, True)
+            # and one of them makes nothing sound
+            it.take(at(ms + STEP_MS))
+            assert (it.fix, it.why) == (None, why)
 
 
 def test_silence_is_found_by_the_clock_and_by_the_next_sample() -> None:

@@ -304,9 +304,8 @@ def _owned(data: bytes, **changes: Any) -> Memory:
     return msgspec.structs.replace(memory, owner=msgspec.structs.replace(memory.owner, **changes))
 
 
-@pytest.mark.parametrize(
-    "left",
-    [
+def test_a_memory_that_no_gate_wrote_is_none() -> None:
+    for left in [
         {},
         {"rule-0": ((0,),), "rule-1": ((0,),)},
         {"rule-1": ((0,),)},
@@ -316,12 +315,11 @@ def _owned(data: bytes, **changes: Any) -> Memory:
         {"rule-0": ((1,), (0,))},
         {"rule-0": ((0,), (0, 1))},
         {"rule-0": ((0,), (0,))},
-    ],
-)
-def test_a_memory_that_no_gate_wrote_is_none(left: Any) -> None:
-    made = msgspec.structs.replace(decode(done("m-1"), Memory), left=left)
-    told = ask(gate("G type != pick", memory=encode_fast(made)), of(TELL, "m-1"))
-    assert hazards(told) == [("STATE_UNKNOWN", "memory")]
+    ]:
+        with case(left):
+            made = msgspec.structs.replace(decode(done("m-1"), Memory), left=left)
+            told = ask(gate("G type != pick", memory=encode_fast(made)), of(TELL, "m-1"))
+            assert hazards(told) == [("STATE_UNKNOWN", "memory")]
 
 
 @pytest.mark.parametrize("data", [b"lost", b"{}", b"null", b"\xff", b" " * (MAX_MEMORY + 1)])

@@ -14,6 +14,7 @@ from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Dispatch, Kind, Welcome
 from fixtures import scenarios
+from fixtures.cases import case
 from unit.sim.desks import BRAKE_MM_S2, LIFE, Bench, drive, framed, proven, ticket
 
 STOPPED = ("ENDED", "aborted", "STOPPED")
@@ -133,22 +134,23 @@ def test_a_renewal_of_another_action_renews_nothing() -> None:
     assert bench.desk.stops == 1
 
 
-@pytest.mark.parametrize("every_ms", [1, 20, 500])
-@pytest.mark.parametrize("speed", [100, 333, 800, 1_500])
-def test_the_way_of_braking_is_v_squared_over_two_a(speed: int, every_ms: int) -> None:
-    bench = Bench(at="station-103")
-    bench.dispatch(scenarios.navigate("station-103", "pharmacy", speed=speed))
-    bench.wait(12_000_000 // speed)  # in the middle of the long corridor
-    begun = bench.place
-    bench.halt()
-    speeds = [bench.speed]
-    while not bench.desk.stands:
-        bench.wait(every_ms, renewing=None, every_ms=every_ms)
-        speeds.append(bench.speed)
-    way = hypot(bench.place[0] - begun[0], bench.place[1] - begun[1])
-    assert speeds == sorted(speeds, reverse=True)
-    assert abs(way - speed * speed / (2 * BRAKE_MM_S2)) <= speed * STEP_MS / 1_000 + 2
-    assert bench.said(Channel.GATE)[-2:] == [STOPPED, ("STOOD", "1", "")]
+def test_the_way_of_braking_is_v_squared_over_two_a() -> None:
+    for speed in [100, 333, 800, 1_500]:
+        for every_ms in [1, 20, 500]:
+            with case(speed, every_ms):
+                bench = Bench(at="station-103")
+                bench.dispatch(scenarios.navigate("station-103", "pharmacy", speed=speed))
+                bench.wait(12_000_000 // speed)  # in the middle of the long corridor
+                begun = bench.place
+                bench.halt()
+                speeds = [bench.speed]
+                while not bench.desk.stands:
+                    bench.wait(every_ms, renewing=None, every_ms=every_ms)
+                    speeds.append(bench.speed)
+                way = hypot(bench.place[0] - begun[0], bench.place[1] - begun[1])
+                assert speeds == sorted(speeds, reverse=True)
+                assert abs(way - speed * speed / (2 * BRAKE_MM_S2)) <= speed * STEP_MS / 1_000 + 2
+                assert bench.said(Channel.GATE)[-2:] == [STOPPED, ("STOOD", "1", "")]
 
 
 def test_the_robot_stands_only_when_it_stands() -> None:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import pytest
 from msgspec import UNSET
@@ -24,6 +22,7 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Fault, Kind, Renew, Welcome
 from fixtures import scenarios
+from fixtures.cases import case
 from unit.sim.desks import NONCE, framed, greeting, ticket, welcome
 
 
@@ -36,9 +35,8 @@ def test_the_gate_of_this_robot_is_believed() -> None:
     assert proven.welcome.robot == scenarios.RID
 
 
-@pytest.mark.parametrize(
-    ("by", "changes"),
-    [
+def test_nobody_else_is_believed() -> None:
+    for by, changes in [
         (None, {}),
         (f"gate-{scenarios.OTHER}", {}),
         (f"gate-{scenarios.OTHER}", {"robot": scenarios.OTHER}),
@@ -52,11 +50,9 @@ def test_the_gate_of_this_robot_is_believed() -> None:
         (f"gate-{scenarios.RID}", {"claims": scenarios.OTHER}),
         (f"gate-{scenarios.RID}", {"tag": Tag.STATE}),
         (f"gate-{scenarios.RID}", {"protocol": "authguard-r/gate/2"}),
-    ],
-)
-def test_nobody_else_is_believed(by: str | None, changes: dict[str, Any]) -> None:
-    with pytest.raises((AuthenticityError, MalformedError)):
-        prove(welcome(by, **changes), greeting(), nonce=NONCE, now=scenarios.NOW)
+    ]:
+        with case(by, changes), pytest.raises((AuthenticityError, MalformedError)):
+            prove(welcome(by, **changes), greeting(), nonce=NONCE, now=scenarios.NOW)
 
 
 WORDS = {"site": Digest("s" * 43), "binding": Digest("b" * 43)}

@@ -21,6 +21,8 @@ from authguard_r.site.cells import (
     size_of,
 )
 from authguard_r.site.shapes import Side, doubled_area, is_simple, side_of
+from fixtures.amount import amount
+from fixtures.cases import case
 
 Cells = frozenset[tuple[int, int]]
 
@@ -78,7 +80,7 @@ def flooded(cells: Cells) -> set[Cells]:
 grids = st.frozensets(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=50)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=amount(60, 300), deadline=None)
 @given(grids)
 def test_components_are_the_connected_cells(cells: Cells) -> None:
     found = components(runs_of(cells))
@@ -86,7 +88,7 @@ def test_components_are_the_connected_cells(cells: Cells) -> None:
     assert sum(map(size_of, found)) == len(cells)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=amount(80, 400), deadline=None)
 @given(grids)
 def test_every_cell_is_in_one_part_and_every_part_is_simple(cells: Cells) -> None:
     """No cell that is not free comes into a region by an outline drawn too far."""
@@ -108,9 +110,8 @@ def test_every_cell_is_in_one_part_and_every_part_is_simple(cells: Cells) -> Non
     assert sorted(covered) == sorted(cells)
 
 
-@pytest.mark.parametrize(
-    ("cells", "parts"),
-    [
+def test_an_area_is_cut_where_it_has_a_hole_or_touches_itself() -> None:
+    for cells, parts in [
         (drawn("###", "###"), 1),
         (drawn("#..", "###"), 1),
         (drawn("###", "#.#", "###"), 2),
@@ -119,11 +120,9 @@ def test_every_cell_is_in_one_part_and_every_part_is_simple(cells: Cells) -> Non
         (drawn(".##", "#.#", "###"), 2),
         (drawn("#####", "#.#.#", "#####", "#.#.#", "#####"), 3),
         (frozenset(), 0),
-    ],
-    ids=["room", "corner", "ring", "corners", "pinch", "other pinch", "four holes", "nothing"],
-)
-def test_an_area_is_cut_where_it_has_a_hole_or_touches_itself(cells: Cells, parts: int) -> None:
-    assert len(cut(cells)) == parts
+    ]:
+        with case(cells, parts):
+            assert len(cut(cells)) == parts
 
 
 def comb(teeth: int, *, upright: bool) -> Cells:

@@ -25,6 +25,7 @@ from authguard_r.site.model import (
     stopping_mm,
 )
 from fixtures import scenarios
+from fixtures.cases import case
 
 replace = msgspec.structs.replace
 FLAGS = ("moves", "waits", "records", "stores", "transmits", "state_writing")
@@ -92,9 +93,8 @@ def plain(path: str, value: Any) -> bytes:
     return encode(whole)
 
 
-@pytest.mark.parametrize(
-    ("path", "last", "beyond"),
-    [
+def test_each_field_of_a_site_ends_where_its_type_ends() -> None:
+    for path, last, beyond in [
         ("version", 0, -1),
         ("id", "a", "A"),
         ("regions/dock/floor", -3, "1"),
@@ -108,13 +108,12 @@ def plain(path: str, value: Any) -> bytes:
         ("vocabulary/take_photo/privacy", 1, -1),
         ("vocabulary/take_photo/privacy", 3, 4),
         ("vocabulary/wait/params/duration_ms/rounding", "position", "up"),
-    ],
-)
-def test_each_field_of_a_site_ends_where_its_type_ends(path: str, last: Any, beyond: Any) -> None:
-    assert decode(plain(path, last), Site)
-    with pytest.raises(MalformedError) as caught:
-        decode(plain(path, beyond), Site)
-    assert caught.value.reason is Reason.MALFORMED
+    ]:
+        with case(path, last, beyond):
+            assert decode(plain(path, last), Site)
+            with pytest.raises(MalformedError) as caught:
+                decode(plain(path, beyond), Site)
+            assert caught.value.reason is Reason.MALFORMED
 
 
 def test_no_privacy_impact_is_written_by_leaving_it_out() -> None:
@@ -165,9 +164,8 @@ def test_each_new_part_of_a_site_changes_its_digest_and_comes_back(part: str, va
     assert site_digest(changed) != site_digest(scenarios.site())
 
 
-@pytest.mark.parametrize(
-    ("path", "last", "beyond"),
-    [
+def test_each_new_field_ends_where_its_type_ends() -> None:
+    for path, last, beyond in [
         ("people", {"ann": {"roles": ["operator"]}}, {"ann": {"roles": ["owner"]}}),
         ("people", {"ann": {"roles": ["site_authority"]}}, {"Ann": {"roles": ["operator"]}}),
         ("emergency", {"places": {"dock": "charging"}}, {"places": {"dock": 1}}),
@@ -178,12 +176,11 @@ def test_each_new_part_of_a_site_changes_its_digest_and_comes_back(part: str, va
         ("robots/lifter-1/profile/max_accel_mm_s2", 1, 0),
         ("robots/lifter-1/profile/reaction_ms", 0, -1),
         ("robots/lifter-1/profile/controllers", {"nav2": "A" * 43}, {"nav2": "A" * 44}),
-    ],
-)
-def test_each_new_field_ends_where_its_type_ends(path: str, last: Any, beyond: Any) -> None:
-    assert decode(plain(path, last), Site)
-    with pytest.raises(MalformedError):
-        decode(plain(path, beyond), Site)
+    ]:
+        with case(path, last, beyond):
+            assert decode(plain(path, last), Site)
+            with pytest.raises(MalformedError):
+                decode(plain(path, beyond), Site)
 
 
 @pytest.mark.parametrize(

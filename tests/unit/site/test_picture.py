@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from authguard_r.site.model import Region, Site
 from authguard_r.site.picture import picture
 from fixtures import scenarios
+from fixtures.amount import amount
 
 replace = msgspec.structs.replace
 SVG = "{http://www.w3.org/2000/svg}"
@@ -78,7 +79,7 @@ def test_a_name_cannot_draw_or_load_anything() -> None:
     assert not list(drawn(site).iter(f"{SVG}script"))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=amount(25, 100), deadline=None)
 @given(st.text(max_size=20), st.integers(1, 10**9))
 def test_any_name_and_any_size_is_a_picture(name: str, side: int) -> None:
     region = Region(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Any
 
 import msgspec
 import pytest
@@ -16,13 +15,13 @@ from authguard_r.core.identifiers import is_identifier
 from authguard_r.site.proposal import Proposal, exact, identifier, millimeters, to_yaml
 from authguard_r.site.source import parse_site
 from fixtures import scenarios
+from fixtures.cases import case
 
 replace = msgspec.structs.replace
 
 
-@pytest.mark.parametrize(
-    ("meters", "found"),
-    [
+def test_a_length_is_the_decimal_that_was_written() -> None:
+    for meters, found in [
         (1, 1000),
         (-3.5, -3500),
         (0.1, 100),
@@ -32,19 +31,27 @@ replace = msgspec.structs.replace
         (-0.0005, 0),
         (1e-9, 0),
         (Decimal("1.2345"), 1234),
-    ],
-)
-def test_a_length_is_the_decimal_that_was_written(meters: Any, found: int) -> None:
-    assert millimeters(meters, where="x") == found
+    ]:
+        with case(meters, found):
+            assert millimeters(meters, where="x") == found
 
 
-@pytest.mark.parametrize(
-    "value", [True, None, "1", [1], float("nan"), float("inf"), 10**12, -1e300, Decimal("sNaN")]
-)
-def test_what_is_no_length_on_a_site_is_refused(value: Any) -> None:
-    with pytest.raises(MalformedError) as caught:
-        exact(value, where="x")
-    assert caught.value.where == "x"
+def test_what_is_no_length_on_a_site_is_refused() -> None:
+    for value in [
+        True,
+        None,
+        "1",
+        [1],
+        float("nan"),
+        float("inf"),
+        10**12,
+        -1e300,
+        Decimal("sNaN"),
+    ]:
+        with case(value):
+            with pytest.raises(MalformedError) as caught:
+                exact(value, where="x")
+            assert caught.value.where == "x"
 
 
 @given(st.text(max_size=70))
@@ -84,13 +91,15 @@ def test_a_name_that_a_reader_of_yaml_would_mend_is_refused(name: str) -> None:
         to_yaml(Proposal(site=site, missing=()), where="x")
 
 
-@pytest.mark.parametrize(
-    "name", ["yes", "null", "1", "0x10", "a: b", "# a", "'", '"', "-", "é", "~"]
-)
-def test_a_name_that_yaml_would_read_as_something_else_stays_that_name(name: str) -> None:
-    region = replace(scenarios.site().regions["dock"], names=(name,))
-    site = replace(scenarios.site(), regions={"1": region}, doors=(), objects={}, robots={})
-    assert parse_site(to_yaml(Proposal(site=site, missing=("x",)), where="x"), where="x") == site
+def test_a_name_that_yaml_would_read_as_something_else_stays_that_name() -> None:
+    for name in ["yes", "null", "1", "0x10", "a: b", "# a", "'", '"', "-", "é", "~"]:
+        with case(name):
+            region = replace(scenarios.site().regions["dock"], names=(name,))
+            site = replace(scenarios.site(), regions={"1": region}, doors=(), objects={}, robots={})
+            assert (
+                parse_site(to_yaml(Proposal(site=site, missing=("x",)), where="x"), where="x")
+                == site
+            )
 
 
 def test_the_hospital_written_and_read_again_is_the_hospital() -> None:

@@ -17,6 +17,7 @@ from authguard_r.site.places import adjacent
 from authguard_r.site.proposal import UNKNOWN_MASS_G, Proposal, to_yaml
 from authguard_r.site.scene import MOST, import_scene
 from authguard_r.site.source import parse_site
+from fixtures.amount import amount
 from fixtures.cases import case
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -226,7 +227,7 @@ def test_more_ways_than_a_side_has_room_for_are_refused() -> None:
     assert error.where.startswith("g:region_connections[")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=amount(25, 60), deadline=None)
 @given(
     st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=1, max_size=8),
     st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=8),

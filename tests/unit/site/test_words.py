@@ -15,6 +15,7 @@ from authguard_r.site.model import ActionModel, site_digest
 from authguard_r.site.source import parse_site, read_yaml
 from authguard_r.site.words import standard_words, with_words
 from fixtures import scenarios
+from fixtures.cases import case
 
 SITE = (scenarios.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
 BARE = SITE.partition("vocabulary:")[0]
@@ -94,9 +95,8 @@ def test_none_of_the_words_is_none() -> None:
     assert parse_site(f"{HEAD}words: []\nvocabulary: {{}}\n", where="x").vocabulary == {}
 
 
-@pytest.mark.parametrize(
-    ("words", "where"),
-    [
+def test_words_that_are_not_the_standard_s_are_refused_in_their_place() -> None:
+    for words, where in [
         ("all", "x:words"),
         ("Standard", "x:words"),
         ("", "x:words"),
@@ -107,12 +107,9 @@ def test_none_of_the_words_is_none() -> None:
         ("[navigate, 1]", "x:words[1]"),
         ("[navigate, [pick]]", "x:words[1]"),
         ("[navigate, pick, navigate]", "x:words[2]"),
-    ],
-)
-def test_words_that_are_not_the_standard_s_are_refused_in_their_place(
-    words: str, where: str
-) -> None:
-    assert refused(f"{HEAD}words: {words}\n") == where
+    ]:
+        with case(words, where):
+            assert refused(f"{HEAD}words: {words}\n") == where
 
 
 def test_a_word_with_another_content_than_the_standard_s_is_refused() -> None:

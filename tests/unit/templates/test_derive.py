@@ -14,6 +14,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.templates import Template, combinations, filled
 from authguard_r.templates.derive import compile_template, template_bytes
 from fixtures import scenarios, templates
+from fixtures.cases import case
 
 
 def compiled(plain: Any) -> Template:
@@ -169,14 +170,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str, Reason]] = {
 }
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_a_draft_that_is_no_template_is_refused(what: str) -> None:
-    plain, where, reason = REFUSED[what]
-    with pytest.raises(MalformedError) as error:
-        compiled(plain)
-    if where:
-        assert where in error.value.where, str(error.value)
-    assert error.value.reason is reason or not where, str(error.value)
+def test_a_draft_that_is_no_template_is_refused() -> None:
+    for what, (plain, where, reason) in REFUSED.items():
+        with case(what):
+            with pytest.raises(MalformedError) as error:
+                compiled(plain)
+            if where:
+                assert where in error.value.where, str(error.value)
+            assert error.value.reason is reason or not where, str(error.value)
 
 
 def test_the_task_is_needed() -> None:

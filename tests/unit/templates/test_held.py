@@ -13,6 +13,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission
 from authguard_r.templates import Pair, held_mission
 from fixtures import scenarios, templates
+from fixtures.cases import case
 
 MISSION = scenarios.mission()
 DIGEST = digest_of(Tag.MISSION, MISSION)
@@ -37,9 +38,8 @@ def test_a_pair_is_the_mission_that_its_template_was_filled_with() -> None:
     assert held.mission.mid == "deliver.1"
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_anything_else_under_its_digest_is_the_stores_corruption() -> None:
+    for data in [
         b"",
         b"{}",
         b'{"instance":',
@@ -48,19 +48,8 @@ def test_a_pair_is_the_mission_that_its_template_was_filled_with() -> None:
         pair(scenarios.token(), templates.signed()),
         pair(templates.token(templates.instance(fill={})), templates.signed()),
         scenarios.token(scenarios.mission(mission="another")),
-    ],
-    ids=[
-        "nothing",
-        "empty",
-        "half",
-        "template",
-        "no template",
-        "no instance",
-        "outside",
-        "another",
-    ],
-)
-def test_anything_else_under_its_digest_is_the_stores_corruption(data: bytes) -> None:
-    with pytest.raises(StoreError) as error:
-        held_mission(data, Digest(DIGEST))
-    assert (error.value.reason, error.value.where) == (Reason.STORE_CORRUPT, "mission")
+    ]:
+        with case(data):
+            with pytest.raises(StoreError) as error:
+                held_mission(data, Digest(DIGEST))
+            assert (error.value.reason, error.value.where) == (Reason.STORE_CORRUPT, "mission")

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import pytest
 
@@ -14,11 +12,11 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.tools.planner import Asked
 from authguard_r.tools.server import MAX_ANSWER, MAX_TEXT, Answer, fits
 from authguard_r.wire.messages import BOUND, Kind, Result
+from fixtures.cases import case
 
 
-@pytest.mark.parametrize(
-    ("structured", "wanted", "done"),
-    [
+def test_it_is_done_when_it_says_exactly_what_is_demanded() -> None:
+    for structured, wanted, done in [
         ({}, {}, True),
         (None, {}, True),
         (None, {"ok": True}, False),
@@ -27,13 +25,10 @@ from authguard_r.wire.messages import BOUND, Kind, Result
         ({"ok": "true"}, {"ok": True}, False),
         ({"a": {"ok": True}}, {"a.ok": True}, True),
         ({"a": 1}, {"a.ok": True}, False),
-    ],
-)
-def test_it_is_done_when_it_says_exactly_what_is_demanded(
-    structured: Any, wanted: Any, done: bool
-) -> None:
-    assert Answer(is_error=False, structured=structured).is_done(wanted) is done
-    assert not Answer(is_error=True, structured=structured).is_done(wanted)
+    ]:
+        with case(structured, wanted, done):
+            assert Answer(is_error=False, structured=structured).is_done(wanted) is done
+            assert not Answer(is_error=True, structured=structured).is_done(wanted)
 
 
 def test_what_is_too_long_does_not_pass() -> None:
