@@ -95,10 +95,11 @@ def mcp_command(
     if listen is None or bearer is None:
         asyncio.run(serve(setup, over_stdio))
         return 0
-    token, made = read_bearer(bearer), listening(listen)
-    host, port, *_ = made.getsockname()
-    sys.stderr.write(f"serving http://{host}:{port}/mcp\n")
-    asyncio.run(serve(setup, lambda front: serve_http(front, made, token)))
+    token = read_bearer(bearer)
+    with listening(listen) as made:
+        host, port, *_ = made.getsockname()
+        sys.stderr.write(f"serving http://{host}:{port}/mcp\n")
+        asyncio.run(serve(setup, lambda front: serve_http(front, made, token)))
     return 0
 
 

@@ -100,25 +100,24 @@ def serve_command(
     doorkeeper = _doorkeeper(bearer, trust, RobotId(robot), roles)
     read_trust(trust)  # what is missing is said now; each connection reads it anew
     context = _tls(tls_cert, tls_key, client_certificates=client_certificates)
-    made = _listening(listen, has_tls=context is not None)
-    where = _where(made, listen, url, has_tls=context is not None)
-    setup = process.Setup(
-        where=GatePlace(
-            robot=RobotId(robot),
-            run=run,
-            trust=lambda: read_trust(trust),
-            client=client,
-            mode=Mode.SHADOW if shadow else Mode.ENFORCE,
-        ),
-        doorkeeper=doorkeeper,
-        url=where,
-        hosts=_hosts(made) if context is None else None,
-        tls=context,
-        disclosure=disclosure,
-        propose=propose,
-        metrics=exposition,
-    )
-    asyncio.run(process.serve(setup, made))
+    with _listening(listen, has_tls=context is not None) as made:
+        setup = process.Setup(
+            where=GatePlace(
+                robot=RobotId(robot),
+                run=run,
+                trust=lambda: read_trust(trust),
+                client=client,
+                mode=Mode.SHADOW if shadow else Mode.ENFORCE,
+            ),
+            doorkeeper=doorkeeper,
+            url=_where(made, listen, url, has_tls=context is not None),
+            hosts=_hosts(made) if context is None else None,
+            tls=context,
+            disclosure=disclosure,
+            propose=propose,
+            metrics=exposition,
+        )
+        asyncio.run(process.serve(setup, made))
     return 0
 
 
@@ -168,7 +167,6 @@ def _where(made: socket.socket, listen: str, url: str | None, *, has_tls: bool) 
     host, port, *_ = made.getsockname()
     address = ipaddress.ip_address(host)
     if url is None and address.is_unspecified:
-        made.close()
         raise typer.BadParameter(f"`{listen}` is no address that clients reach: --url")
     shown = f"[{host}]" if address.version == 6 else host
     return (url or f"{'https' if has_tls else 'http'}://{shown}:{port}").rstrip("/")
