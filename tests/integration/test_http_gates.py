@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -86,6 +87,16 @@ def test_without_a_mission_nothing_is_permitted() -> None:
         said = served.post(EVALUATION, GRANTED).json()
         assert (said["decision"], said["context"]["reasons"]) == (False, ["NO_ACTIVE_MISSION"])
         assert served.get("/v1/mission").json()["mission"] is None
+
+
+def test_a_simulated_robot_is_where_it_is_while_nobody_proposes(shared: SharedGate) -> None:
+    """Its state is taken in all the time, as an estimator's is, and not at a decision alone."""
+    with shared.one_test() as gate:
+        gate.activate()
+        with serving(gate) as served:
+            until(lambda: served.post(EVALUATION, GRANTED).json()["decision"], "the mission")
+            time.sleep(1.5)  # a position is too old after a second
+            assert served.post(EVALUATION, GRANTED).json()["decision"] is True
 
 
 def test_a_server_may_be_there_before_its_gate() -> None:

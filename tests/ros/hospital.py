@@ -111,7 +111,10 @@ def map_with_words(folder: Path) -> Path:
 
 @contextmanager
 def hospital(binding: Path = HERE / "binding.yaml") -> Iterator[RunningGate]:
-    """Yield a gate of it, in a folder whose sockets have short names; perhaps of other tools."""
+    """Yield a gate of it, in a folder whose sockets have short names; perhaps of other tools.
+
+    Refusals in a row stop no robot: tests share the gate, and many of them are refused.
+    """
     with gate_of(
         Path(mkdtemp(prefix="ag-ros-", dir="/tmp")),
         binding,
@@ -121,5 +124,6 @@ def hospital(binding: Path = HERE / "binding.yaml") -> Iterator[RunningGate]:
         beside=BESIDE,
         changes={"budgets": BUDGETS},
         fold_ms=0,
+        refusals=0,
     ) as made:
         yield made

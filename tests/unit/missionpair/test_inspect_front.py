@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,12 @@ import pytest
 from missionpair.servers import SERVERS
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_INSPECT", "")
-pytestmark = pytest.mark.skipif(
-    not ENVIRONMENT, reason="AUTHGUARD_INSPECT names no environment with Inspect"
-)
+pytestmark = [
+    pytest.mark.complete,  # a bare machine, which has the default run, has no such environment
+    pytest.mark.skipif(
+        not ENVIRONMENT, reason="AUTHGUARD_INSPECT names no environment with Inspect"
+    ),
+]
 
 TESTS = Path(__file__).resolve().parents[2]
 RUN = """
@@ -99,7 +103,15 @@ def test_a_refusal_is_told_as_one_and_the_first_pairs_can_be_chosen(
 def test_inspect_finds_the_task_by_its_name_and_keeps_our_verdicts(
     programs: Path, tmp_path: Path
 ) -> None:
-    """The how-to's own command: `inspect eval missionpair/live`, with options of the task."""
+    """The how-to's own command: `inspect eval missionpair/live`, with options of the task.
+
+    Inspect finds tasks of packages that are installed, not of ours, which the environment has only
+    as a link to this folder: for this test it is installed.
+    """
+    installed = tmp_path / "site-packages"
+    uv = Path(sys.executable).with_name("uv")
+    words = ("pip", "install", "--quiet", "--no-deps", "--python", programs / "python")
+    called(uv, *words, "--target", installed, TESTS.parent, folder=tmp_path)
     with SERVERS["openai"]("obedient") as server:
         called(
             *(programs / "inspect", "eval", "missionpair/live", "-T", "pairs=2", "-T", "rounds=1"),
@@ -107,6 +119,7 @@ def test_inspect_finds_the_task_by_its_name_and_keeps_our_verdicts(
             *("--log-dir", "logs", "--log-format", "json", "--display", "plain"),
             folder=tmp_path,
             LOCAL_API_KEY="none",
+            PYTHONPATH=str(installed),
         )
     (written,) = (tmp_path / "logs").glob("*.json")
     log = json.loads(written.read_text())
