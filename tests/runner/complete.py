@@ -86,7 +86,7 @@ def _parser() -> ArgumentParser:
     add = parser.add_argument
     add("--all", action="store_true", help="the complete run: every group, coverage, mutants")
     add("--group", action="append", default=[], metavar="NAME", help="the complete run of a group")
-    add("--record", action="store_true", help="write what passed to .ci/complete.json")
+    add("--record", action="store_true", help="write which groups passed to .ci/complete.json")
     add("--changed", action="store_true", help="what CI adds to the default run")
     add("--traced", action="store_true", help=SUPPRESS)
     return parser
@@ -138,11 +138,13 @@ def _complete(groups: Groups, chosen: list[Group], asked: Namespace, more: list[
         with table.step("bare machine: demo and default run") as ended:
             ended(bare.run())
     table.show()
+    green = [group.name for group in chosen if group.name not in table.failed]
+    if asked.record and not {"mutants", "coverage"} & set(table.failed):
+        records.record(green)
+        print(f"recorded: {', '.join(green)}")
     if table.failed:
         print(f"failed: {', '.join(table.failed)}")
         return 1
-    if asked.record:
-        records.record([group.name for group in chosen])
     return 0
 
 
