@@ -21,6 +21,8 @@ from runner.groups import ROOT, GroupError
 PACKAGES = ("python3", "python3-venv", "python3-pip", "ca-certificates")
 #: Where pip finds packages on this machine, and how it trusts them; taken over as it is here.
 SETTINGS = ("/etc/pip.conf", "/etc/ssl/certs", "/etc/resolv.conf", "/etc/hosts")
+#: Variables that say how installers reach their registries from here, and the seed of random tests.
+KEPT = ("PIP_", "UV_", "SSL_CERT_", "AUTHGUARD_SEED")
 COMMANDS = "python3 dev.py demo && python3 dev.py test"
 
 
@@ -42,7 +44,7 @@ def run() -> str:
         exec chroot {machine} sh -c 'cd /srv/project && {COMMANDS}'
     """
     words = ["unshare", "--mount", "--pid", "--fork", "sh", "-euc", script]
-    kept = {k: v for k, v in os.environ.items() if k.startswith(("PIP_", "UV_", "AUTHGUARD_SEED"))}
+    kept = {name: value for name, value in os.environ.items() if name.startswith(KEPT)}
     env = {**kept, "HOME": "/root", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "LANG": "C.UTF-8"}
     try:
         code = subprocess.call(words, env=env)
@@ -76,7 +78,7 @@ def _bound(machine: Path) -> str:
         for name in ("PIP_CONFIG_FILE", "PIP_CERT", "PIP_FIND_LINKS")
         if name in os.environ
     ]
-    places += [Path.home() / ".config" / "pip" / "pip.conf", Path("/opt/wheels")]
+    places += [Path.home() / ".config" / "pip" / "pip.conf"]
     lines = []
     for place in dict.fromkeys(places):
         if place.exists():

@@ -155,14 +155,13 @@ def _tests(group: Group, run: Run, more: list[str], *, traced: bool = False) -> 
         ready(name)
     how = [*(SERIAL if group.serial else PARALLEL), f"--run={run}", f"--group={group.name}", *more]
     codes = []
-    if traced:
-        ignored = [f"--ignore={place}" for place in group.untraced]
-        cov = ["--cov", "--cov-append", "--cov-report="]
+    untraced = group.untraced if traced else ()
+    if not set(group.tests) <= set(untraced):
+        ignored = [f"--ignore={place}" for place in untraced]
+        cov = ["--cov", "--cov-append", "--cov-report="] if traced else []
         codes.append(_call(_pytest(*how, *ignored, *cov, "tests")))
-        if group.untraced:
-            codes.append(_call(_pytest(*how, *group.untraced)))
-    else:
-        codes.append(_call(_pytest(*how, "tests")))
+    if untraced:
+        codes.append(_call(_pytest(*how, *untraced)))
     # 5: no test; a group's rest may be empty
     allowed = {0} if run is Run.COMPLETE and not more else {0, 5}
     return "passed" if set(codes) <= allowed else "failed: tests"
