@@ -51,7 +51,10 @@ def _libraries() -> Iterator[tuple[str, str]]:
 
 def _git(*arguments: str) -> str:
     command = ["git", "-C", str(_ROOT), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError:  # there is no git
+        return "unknown"
     return done.stdout.strip() if done.returncode == 0 else "unknown"
 
 
