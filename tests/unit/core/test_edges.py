@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from random import Random
+from typing import Any
 
 import msgspec
 import pytest
@@ -223,6 +224,24 @@ def test_a_new_grant_starts_from_nothing_and_a_narrower_one_is_refused() -> None
     assert carried.open == old.open
     fewer = tuple(SET(g, starts=1) if g.id == "pick-p1" else g for g in MISSION.actions)
     assert carry_over(old, MISSION, scenarios.verified(SET(MISSION, actions=fewer))) is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"type": "place"},
+        {"tool": "claw"},
+        {"alternatives": (*grant("pick-p1").alternatives, Row(object="package-p2"))},
+        {"alternatives": grant("go-to-101").alternatives},
+    ],
+    ids=["type", "tool", "a row more", "other rows"],
+)
+def test_a_grant_that_keeps_its_name_and_changes_its_meaning_is_refused(
+    changes: dict[str, Any],
+) -> None:
+    other = tuple(SET(g, **changes) if g.id == "pick-p1" else g for g in MISSION.actions)
+    assert carry_over(started(), MISSION, scenarios.verified(MISSION)) is not None
+    assert carry_over(started(), MISSION, scenarios.verified(SET(MISSION, actions=other))) is None
 
 
 def test_the_lease_is_the_oracles_lease() -> None:
