@@ -343,9 +343,8 @@ class Service:
             asyncio.create_task(every(VIGIL_S, self.vigil.look)),
             asyncio.create_task(every(SHRED_S, self.retirement.look)),
         ]
-        mode, unclean = str(self._config.mode), self._recovery.unclean
-        started = {"robot": self._config.robot, "mode": mode, "pid": os.getpid()}
-        self.notices.publish({"event": "start", **started, "unclean": unclean})
+        started = {"robot": self._config.robot, "mode": str(self._config.mode), "pid": os.getpid()}
+        self.notices.publish({"event": "start", **started, "unclean": self._recovery.unclean})
         try:
             await first(ended, clocks)
         finally:
