@@ -113,7 +113,12 @@ def _digest(name: str) -> str:
     """Return what an environment depends on: its recipe, our packages' metadata, its files."""
     found = hashlib.sha256(repr((RECIPES.get(name), sys.version_info[:2], str(ROOT))).encode())
     for place in (ROOT / "pyproject.toml", *(ROOT / item for item in SCRIPTS.get(name, ()))):
-        files = sorted(item for item in place.rglob("*") if item.is_file()) or [place]
-        for file in files:
-            found.update(file.read_bytes() if "__pycache__" not in file.parts else b"")
+        for file in sorted(place.rglob("*")) or [place]:
+            if file.is_file() and not _is_left_over(file):
+                found.update(file.read_bytes())
     return found.hexdigest()
+
+
+def _is_left_over(file: Path) -> bool:
+    """Say whether a run left the file there: compiled code, or what a process has covered."""
+    return "__pycache__" in file.parts or file.name.startswith(".coverage")
