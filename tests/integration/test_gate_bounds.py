@@ -443,7 +443,7 @@ def lone_mission(gate: RunningGate, **changes: Any) -> None:
 
 @pytest.fixture(scope="module")
 def lone() -> Iterator[RunningGate]:
-    """Yield a gate without an estimator, which tells nobody that somebody is silent."""
+    """Yield a gate without an estimator; it raises no alert about that."""
     with RunningGate(estimator_silence_ms=0, planner_silence_ms=0) as made:
         yield made
 
