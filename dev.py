@@ -41,6 +41,8 @@ def main(arguments: list[str]) -> int:
     """Run one task and return its exit code."""
     if not arguments or arguments[0] not in TASKS:
         print(__doc__)
+        if arguments and arguments[0] not in {"help", "-h", "--help"}:
+            print(f"unknown task `{arguments[0]}`; the tasks: {', '.join(TASKS)}", file=sys.stderr)
         return 2
     if sys.version_info < (3, 11):
         print("Python 3.11 or newer is needed; this is", sys.version.split()[0])

@@ -90,7 +90,7 @@ def test_without_a_mission_nothing_is_permitted() -> None:
 
 
 def test_a_simulated_robot_is_where_it_is_while_nobody_proposes(shared: SharedGate) -> None:
-    """Its state is taken in all the time, as an estimator's is, and not at a decision alone."""
+    """A what-if takes in the newest state, as a decision does."""
     with shared.one_test() as gate:
         gate.activate()
         with serving(gate) as served:

@@ -24,7 +24,7 @@ from fixtures import scenarios
 from fixtures.gate_process import AUTHGUARD, RunningGate, order, until
 from integration.test_gate_clock import HOUR_MS, WallClock
 from integration.test_gate_clock import clock as clock  # noqa: PLC0414 - a fixture
-from integration.test_gate_watching import FAST, operator
+from integration.test_gate_watching import FAST, connected, operator
 
 SCAN = b"scan()"
 
@@ -106,17 +106,6 @@ def resumed(gate: CountedGate, mission: Mission, digest: str) -> None:
         person.command(order(gate, mission, digest, Verb.RESUME))
 
 
-def ready(gate: CountedGate) -> None:
-    """Wait until robot and estimator are back at a gate that was started again."""
-
-    def here() -> bool:
-        with operator(gate) as person:
-            roles = {client["role"] for client in person.status()["clients"]}
-        return {"controller", "estimator"} <= roles
-
-    until(here, "robot and estimator")
-
-
 @pytest.mark.smoke
 def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
     gate: CountedGate,
@@ -124,12 +113,12 @@ def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
     mission, digest = active(gate)
     snapshot = gate.ended()
     gate.start_gate()
-    ready(gate)
+    until(lambda: connected(gate), "robot and estimator")
     gate.works()
     gate.ended()
     shutil.copy(snapshot, gate.store)
     gate.start_gate()
-    ready(gate)
+    until(lambda: connected(gate), "robot and estimator")
 
     anchor = gate.anchor
     assert (anchor["state"], anchor["why"]) == ("put_back", "behind")
@@ -145,7 +134,8 @@ def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
         assert refused.value.reason == "ROLLED_BACK"
         assert "ROLLED_BACK" in person.metrics() or person.records(0)["records"]
     with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as hand:
-        assert hand.stop()["stopped"] is True
+        # the robot comes back to the stop lane on a connection of its own
+        until(lambda: hand.stop()["stopped"], "the robot's word that it stands")
     (alert,) = [r for r in gate.records() if r.open.get("what") == "the store was put back"]
     assert alert.open["counted"] > alert.open["size"]
     assert '"why":"behind"' in gate.said()
@@ -157,7 +147,7 @@ def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
     resumed(gate, mission, digest)
     gate.works()
     gate.restart()
-    ready(gate)
+    until(lambda: connected(gate), "robot and estimator")
     assert gate.anchor["state"] == "counted"
     gate.works()
     told = gate.recovers()
@@ -273,7 +263,7 @@ def test_a_machine_without_a_clock_serves_stops_until_somebody_sets_it(
     until(lambda: [r for r in gate.records() if r.kind == "stop"], "the stop's record")
     clock.is_wrong_by(0)
     until(lambda: gate.mission_status == "suspended", "the suspension")
-    ready(gate)
+    until(lambda: connected(gate), "robot and estimator")
     resumed(gate, mission, digest)
     gate.works()
 

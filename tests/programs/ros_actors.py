@@ -316,6 +316,9 @@ def main() -> None:
     if "several" in words:
         executor = MultiThreadedExecutor(3, context=context)
     executor.add_node(node)
+    if "waiting" in words:  # it has started and loaded everything; its part begins on a line
+        say("ready", role=role)
+        sys.stdin.readline()
     actor = ROLES[role](node, ros, *words)
     say("ready", role=type(actor).__name__)
     over = threading.Event()

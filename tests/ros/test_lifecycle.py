@@ -247,9 +247,11 @@ def test_an_action_client_of_before_finds_a_node_that_was_configured_anew(
     planner = graph.planner()
     client = ActionClient(planner.node, Fibonacci, "/llm/fibonacci", callback_group=planner.group)
     manager.begin()
-    manager.end()
-    manager.begin()
     until(client.server_is_ready, "the server", seconds=PATIENCE_S)
+    manager.end()
+    until(lambda: not client.server_is_ready(), "the server's end", seconds=PATIENCE_S)
+    manager.begin()
+    until(client.server_is_ready, "the next server", seconds=PATIENCE_S)
     graph.robot.arm.end.set()
     sent = Goal(planner, client, Fibonacci.Goal(order=3))
     assert sent.accepted

@@ -23,8 +23,6 @@ from fixtures.ros_processes import Driving, Robot, Watched, move
 #: From a fault to a base that stands and a goal that is canceled, in milliseconds.
 SOON_MS = 1_000.0
 ANOTHER = '"why": "another_publisher"'
-#: Why a base stands beside two publishers: a busy machine may let the deadline of one pass first.
-BESIDE = frozenset({"another_publisher", "deadline"})
 FAULTS = {
     "killed": "SIGKILL",
     "stopped by the kernel": "SIGSTOP",
@@ -176,14 +174,16 @@ def test_a_rogue_with_the_default_profile_is_not_matched(watched: Watched) -> No
 def test_a_second_publisher_with_the_right_profile_latches_a_stop(watched: Watched) -> None:
     begun = time.monotonic_ns()
     base, gate = watched.base, watched.robot.start("gate")
+    rogue = watched.robot.start("rogue", "right", "9", "waiting")
     move(base, gate)
     moved = time.monotonic_ns()
-    rogue = watched.robot.start("rogue", "right", "9")
-    assert base.velocity(0.0, after=moved)["why"] in BESIDE
+    rogue.tell("begin")
+    assert base.velocity(0.0, after=moved)["why"] == "another_publisher"
     rogue.until_more(50)
     gate.tell("drive 0")  # both publish: nothing is a fresh lease
     assert set(base.velocities(after=begun)) == {0.0, 0.3}
-    assert {line["why"] for line in base.lines[1:] if line["ns"] > moved} <= BESIDE
+    after = [line["why"] for line in base.lines[1:] if line["ns"] > moved]
+    assert set(after) == {"another_publisher"}
     ended = rogue.send(signal.SIGKILL)
     base.open(after=ended)
 
@@ -192,10 +192,11 @@ def test_a_second_publisher_is_found_by_its_first_sample_where_dds_says_nothing(
     watched: Watched,
 ) -> None:
     base, gate = watched.robot.start("base", "no-events"), watched.robot.start("gate")
+    rogue = watched.robot.start("rogue", "right", "9", "waiting")
     move(base, gate)
     moved = time.monotonic_ns()
-    watched.robot.start("rogue", "right", "9")
-    assert base.velocity(0.0, after=moved)["why"] in BESIDE
+    rogue.tell("begin")
+    assert base.velocity(0.0, after=moved)["why"] == "another_publisher"
     assert set(base.velocities()) == {0.0, 0.3}
 
 
@@ -204,21 +205,24 @@ def test_two_publishers_that_stand_are_no_lease_where_nobody_says_whose_a_sample
 ) -> None:
     """An older rclpy: the second one would be taken for the first, and then speed up."""
     base, gate = watched.robot.start("base", "no-ids"), watched.robot.start("gate")
+    rogue = watched.robot.start("rogue", "right", "0", "waiting")
     base.open()
-    rogue = watched.robot.start("rogue", "right", "0")
-    base.until(lambda line: line.get("why") in BESIDE)
+    begun = time.monotonic_ns()
+    rogue.tell("begin")
+    assert base.until(lambda line: line.get("why"), after=begun)["why"] == "another_publisher"
     rogue.until_more(50)
-    assert base.lines[-1]["why"] in BESIDE
+    assert base.lines[-1]["why"] == "another_publisher"
     ended = rogue.send(signal.SIGKILL)
     base.open(after=ended)
     move(base, gate)
 
 
 def test_two_gates_stop_the_base_and_cancel_the_goal(watched: Watched) -> None:
+    second = watched.robot.start("gate", "waiting")
     driving = Driving(watched)
     said, begun = driving.deadman.count(ANOTHER), time.monotonic_ns()
-    watched.robot.start("gate")
-    assert driving.base.velocity(0.0, after=begun)["why"] in BESIDE
+    second.tell("begin")
+    assert driving.base.velocity(0.0, after=begun)["why"] == "another_publisher"
     driving.canceled_ms(begun)
     driving.deadman.says(ANOTHER, times=said + 1)
 

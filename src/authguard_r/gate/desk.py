@@ -277,13 +277,14 @@ class Desk:
     def _judge(self, step: Step) -> Judged:
         """Ask both gates about a step as things are now, without any effect."""
         gate = self._gate
+        state = gate.enforcer.intake.refresh()  # as before a decision
         verified = gate.ledger.run(gate.enforcer.intake.active_mission)
         standing = gate.ledger.standing(verified.mission.mid)
         remembered = partial(memory_of, standing=standing)
         return evaluate(
             verified,
-            attested_source(step, gate.enforcer.intake.state),
-            state=gate.enforcer.intake.state,
+            attested_source(step, state),
+            state=state,
             facts=gate.facts,
             now=gate.ledger.now(),
             standing=standing,

@@ -355,7 +355,6 @@ class Service:
     def _look(self) -> None:
         if self._advance is not None:
             self._advance(bool(self.motions))
-            self.gate.enforcer.intake.refresh()  # what an estimator would have sent
         self.motions.look()
         if self._advance is not None and self.motions:
             self._turn_soon()  # simulated time passes as fast as it can be watched

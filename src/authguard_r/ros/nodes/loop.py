@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 
+from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from authguard_r.client.link import Log
@@ -186,6 +187,9 @@ async def spun(
             failed.exception()  # whoever waited for it has it, or leaves for another reason
         failed.cancel()
         await spinner.close()
+        for waitable in tuple(node.waitables):
+            if isinstance(waitable, ActionServer | ActionClient):
+                waitable.destroy()  # `destroy_node` leaves it in the graph
         node.destroy_node()
 
 

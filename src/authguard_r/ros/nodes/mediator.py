@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -215,14 +215,11 @@ async def configured(place: Place, context: Context, log: Log) -> AsyncIterator[
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(raised(failed)), group.create_task(mediator.driver.stay())]
             await spinner.do(mediator.reach)
-            try:
+            async with AsyncExitStack() as at_end:  # what is pushed last ends first
+                at_end.push_async_callback(mediator.proposals.close)
                 await _ready(mediator)
-                try:
-                    yield mediator
-                finally:
-                    await mediator.body.let_go()
-            finally:
-                await mediator.proposals.close()
+                at_end.push_async_callback(mediator.body.let_go)
+                yield mediator
             for task in tasks:
                 task.cancel()
 
