@@ -143,27 +143,45 @@ def is_number(token: Token) -> bool:
 
 def _cut(text: str) -> list[Token]:
     tokens: list[Token] = []
-    known: dict[str, str] = {}
+    known: dict[str, list[Token]] = {}  # a word that comes often is read once
     last = 0
     for match in _WORD.finditer(text):
         begin, end = match.span()
+        word = match.group()
+        if word not in known:
+            known[word] = _parts(word)
         apart = _SENTENCE.search(text, last, begin) is not None
-        for start, stop in _humps(match.group(), begin, end):
-            written = text[start:stop]
-            if written not in known:
-                known[written] = _compared(written)
-            if known[written]:
-                near = apart and start == begin
-                tokens.append(_token(written, known[written], start, apart=near))
+        tokens += [
+            Token(
+                text=part.text,
+                skeleton=part.skeleton,
+                start=begin + part.start,
+                end=begin + part.end,
+                changed=part.changed,
+                apart=apart and part.start == 0,
+            )
+            for part in known[word]
+        ]
         last = end
     return tokens
 
 
-def _humps(word: str, begin: int, end: int) -> list[tuple[int, int]]:
+def _parts(word: str) -> list[Token]:
+    """Return the parts of one word, at their places in it."""
+    parts: list[Token] = []
+    for start, end in _humps(word):
+        text = _compared(word[start:end])
+        if text:
+            bones, changed = skeleton(text), text.endswith(ORDINAL)
+            parts.append(Token(text=text, skeleton=bones, start=start, end=end, changed=changed))
+    return parts
+
+
+def _humps(word: str) -> list[tuple[int, int]]:
     """Return where the parts of a word such as `goToStation` begin and end."""
     if word.islower() or word.isupper():
-        return [(begin, end)]
-    cuts = [begin, *(begin + hump.start() for hump in _HUMP.finditer(word)), end]
+        return [(0, len(word))]
+    cuts = [0, *(hump.start() for hump in _HUMP.finditer(word)), len(word)]
     return list(pairwise(cuts))
 
 
@@ -174,17 +192,6 @@ def _compared(written: str) -> str:
         folded = "".join(filter(str.isalnum, folded))
     suffixed = _SUFFIXED.fullmatch(folded)
     return folded if suffixed is None else suffixed[1] + ORDINAL
-
-
-def _token(written: str, text: str, start: int, *, apart: bool) -> Token:
-    return Token(
-        text=text,
-        skeleton=skeleton(text),
-        start=start,
-        end=start + len(written),
-        changed=text.endswith(ORDINAL),
-        apart=apart,
-    )
 
 
 def _numbered(tokens: list[Token]) -> list[Token]:

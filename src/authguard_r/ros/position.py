@@ -253,7 +253,8 @@ class Track:
     def _least_speed(self, sample: Sample) -> float:
         """Return how fast a robot that was at the positions before is at least, in m/s."""
         least = 0.0
-        for other in self._kept:
+        last = () if self._last is None else (self._last,)  # the newest one is not always kept
+        for other in (*self._kept, *last):
             gone = math.hypot(sample.x - other.x, sample.y - other.y) - self._slack
             took_s = (sample.newest_ns - other.newest_ns) / 1e9
             if gone > 0:

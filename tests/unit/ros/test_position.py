@@ -19,6 +19,7 @@ from authguard_r.ros.position import (
     SETTLE_MS,
     SETTLE_SAMPLES,
     SILENCE_MS,
+    SPACED_MS,
     Fix,
     Sample,
     Stamps,
@@ -154,6 +155,17 @@ def test_a_jump_within_the_margins_is_passed_and_many_of_them_are_not() -> None:
     it.take(at(ms, 0.29))
     assert it.fix is not None
     it.take(at(ms + STEP_MS, 0.58))
+    assert it.why is Why.JUMP
+
+
+def test_the_newest_position_counts_although_it_comes_too_soon_to_be_kept() -> None:
+    """From the kept one the way is slow enough; from the newest it is not."""
+    it, ms = settled()
+    kept_ms = ms + SPACED_MS
+    newest_ms = kept_ms + SPACED_MS - 1
+    it.take(at(kept_ms))
+    it.take(at(newest_ms))
+    it.take(at(newest_ms + 303, 0.7575))
     assert it.why is Why.JUMP
 
 
