@@ -17,6 +17,12 @@ import pytest
 from runner.groups import Group, GroupError, Groups, Run, missing, read_groups, unowned
 
 ROS_TESTS = Path(__file__).resolve().parent / "ros"
+# How long an example takes, the machine's load says: speed is measured in `benchmarks/`.
+if find_spec("hypothesis") is not None:  # the environment with ROS may have none
+    from hypothesis import settings
+
+    settings.register_profile("untimed", deadline=None)
+    settings.load_profile("untimed")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -766,9 +766,7 @@ def works(draw: st.DrawFn) -> list[tuple[str, int]]:
     return draw(st.lists(st.tuples(kinds, st.integers(0, 30)), max_size=12))
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(work=works())
 def test_whatever_is_moved_the_log_is_that_of_a_store_that_never_moves_any(
     work: list[tuple[str, int]], tmp_path_factory: pytest.TempPathFactory

@@ -423,9 +423,7 @@ def jobs(draw: st.DrawFn) -> tuple[tuple[tuple[str, bytes | None], ...], bool]:
     return tuple(draw(st.lists(steps, max_size=6))), draw(st.booleans())
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(work=st.lists(jobs(), max_size=8))
 @pytest.mark.parametrize("kind", ["memory", "sqlite"])
 def test_a_store_does_what_a_dictionary_and_a_list_do(

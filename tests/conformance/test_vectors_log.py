@@ -312,7 +312,7 @@ def test_the_independent_verifier_reads_a_real_log_and_refuses_changed_ones(
             assert (code, out.startswith(f"NOT WHOLE at record {at}: ")) == (1, True)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.data())
 def test_no_changed_note_of_the_vectors_verifies_for_more(data: st.DataObject) -> None:
     vector = VECTORS["notes"][1]

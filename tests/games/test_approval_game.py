@@ -986,7 +986,6 @@ class Sequences(RuleBasedStateMachine):
 QUICK = settings(
     max_examples=amount(10, 40),
     stateful_step_count=25,
-    deadline=None,
     database=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),

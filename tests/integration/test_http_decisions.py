@@ -107,9 +107,7 @@ CLAIMS = st.dictionaries(
 )  # fmt: skip
 
 
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(context=CLAIMS, subject=CLAIMS, resource=CLAIMS, who=st.text(max_size=20))
 def test_l2_what_a_request_claims_changes_nothing(
     house: tuple[RunningGate, Served], context: Any, subject: Any, resource: Any, who: str

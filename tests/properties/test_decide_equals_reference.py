@@ -35,7 +35,6 @@ AT_BOUND = amount(6, 60)
 #: Cases with policies of the organization and approvals of groups.
 ORGANIZED = amount(200, 1_000)
 RELAXED = settings(
-    deadline=None,
     database=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),

@@ -17,7 +17,7 @@ from authguard_r.normalize.parse import read_text
 from fixtures.amount import amount
 from unit.normalize.writers import WAYS
 
-LAW = settings(max_examples=amount(25, 100), deadline=None)
+LAW = settings(max_examples=amount(25, 100))
 
 # -- what each dialect can say ---------------------------------------------------------------------
 

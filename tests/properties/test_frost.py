@@ -42,7 +42,7 @@ def drawn(draw: st.DrawFn, *, enough: bool = True) -> Drawn:
     return Drawn(threshold, count, tuple(draw(places)[: draw(size)]))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(drawn(), st.binary(max_size=200))
 def test_any_t_or_more_of_n_make_a_signature_that_another_library_takes(
     chosen: Drawn, message: bytes
@@ -55,7 +55,7 @@ def test_any_t_or_more_of_n_make_a_signature_that_another_library_takes(
     assert not holds(made.group, signed, message + b"x")
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(drawn(enough=False), st.binary(max_size=64))
 def test_fewer_than_t_make_none(chosen: Drawn, message: bytes) -> None:
     made = dealt(chosen.threshold, chosen.count)
@@ -63,7 +63,7 @@ def test_fewer_than_t_make_none(chosen: Drawn, message: bytes) -> None:
         prepared([made.shares[place - 1] for place in chosen.signers], message)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(drawn(), st.binary(max_size=64), st.data())
 def test_whoever_cheats_is_the_one_who_is_named(
     chosen: Drawn, message: bytes, data: st.DataObject
@@ -78,7 +78,7 @@ def test_whoever_cheats_is_the_one_who_is_named(
     assert caught.value.where == made.group.members[parts[place].identifier - 1]
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(drawn(), st.binary(max_size=64))
 def test_a_group_without_a_dealer_signs_like_a_dealt_one(chosen: Drawn, message: bytes) -> None:
     secrets, offers, given_out = generated(chosen.threshold, chosen.count)
@@ -86,7 +86,7 @@ def test_a_group_without_a_dealer_signs_like_a_dealt_one(chosen: Drawn, message:
     assert holds(shares[0].group, signature(shares, message), message)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=300), st.sampled_from([Group, Offer, Commitment, SignatureShare]))
 def test_any_bytes_at_all_are_read_or_malformed(data: bytes, kind: type[msgspec.Struct]) -> None:
     with pytest.raises(MalformedError):

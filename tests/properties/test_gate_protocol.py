@@ -243,7 +243,7 @@ class Protocol(RuleBasedStateMachine):
 
 
 TestProtocol = Protocol.TestCase
-TestProtocol.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestProtocol.settings = settings(max_examples=60, stateful_step_count=30)
 
 
 def test_every_role_of_the_model_is_a_role() -> None:

@@ -660,7 +660,6 @@ class Life(RuleBasedStateMachine):
 QUICK = settings(
     max_examples=60,
     stateful_step_count=40,
-    deadline=None,
     database=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),

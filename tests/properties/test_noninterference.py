@@ -396,7 +396,6 @@ def test_no_sequence_of_untrusted_inputs_changes_the_policy_that_is_applied() ->
         settings=settings(
             max_examples=GAMES,
             stateful_step_count=MOVES,
-            deadline=None,
             derandomize=True,
             suppress_health_check=list(HealthCheck),
         ),

@@ -215,5 +215,5 @@ class Rollbacks(RuleBasedStateMachine):
             assert self.outside.note == before
 
 
-Rollbacks.TestCase.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+Rollbacks.TestCase.settings = settings(max_examples=60, stateful_step_count=30)
 TestRollbacks = Rollbacks.TestCase

@@ -141,7 +141,7 @@ class Witnessing(RuleBasedStateMachine):
 
 
 TestWitnessing = Witnessing.TestCase
-TestWitnessing.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestWitnessing.settings = settings(max_examples=40, stateful_step_count=25)
 
 
 def test_the_views_do_contradict_each_other() -> None:

@@ -28,7 +28,7 @@ from authguard_r.audit.record import (
 from authguard_r.core.chain import GENESIS, link
 from authguard_r.core.encoding import Tag, b64, digest_of, encode, encode_fast
 
-LAW = settings(max_examples=200, deadline=None)
+LAW = settings(max_examples=200)
 names = st.from_regex(r"\A[a-z][a-z0-9_]{0,15}\Z")
 texts = st.text(alphabet=st.characters(exclude_categories=["Cs"]), max_size=20)
 leaves = st.booleans() | st.integers(-(2**53) + 1, 2**53 - 1) | texts

@@ -37,7 +37,7 @@ from fixtures import scenarios
 from fixtures.amount import amount
 from unit.test_record import Log
 
-LAW = settings(max_examples=amount(25, 100), deadline=None)
+LAW = settings(max_examples=amount(25, 100))
 KEYS = {data: bytes([number]) * 32 for number, data in enumerate(DataClass)}
 #: Digests as a decision links them.
 ACTION, STATE = b64(b"a" * 32), b64(b"s" * 32)

@@ -17,7 +17,7 @@ from authguard_r.core.identifiers import RobotId
 from fixtures.amount import amount
 from fixtures.cases import case
 
-LAW = settings(max_examples=amount(40, 200), deadline=None)
+LAW = settings(max_examples=amount(40, 200))
 ROOT, CHAIN = bytes(range(32)), bytes(range(32, 64))
 HASH = encode64(ROOT)
 SAID = Checkpoint(origin="authguard-r/courier-1/audit", size=12, root=ROOT, chain=CHAIN)

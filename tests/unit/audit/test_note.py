@@ -28,7 +28,7 @@ from authguard_r.core.errors import MalformedError
 from fixtures.amount import amount
 from fixtures.cases import case
 
-LAW = settings(max_examples=amount(60, 300), deadline=None)
+LAW = settings(max_examples=amount(60, 300))
 ONE = NoteSignature("log.example/1", b"\x01\x02\x03\x04", b"signature")
 LINE = signature_lines((ONE,))
 KEY = NoteKey("log.example/1", b"\x01", bytes(range(32)))

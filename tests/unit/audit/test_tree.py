@@ -28,7 +28,7 @@ from authguard_r.audit.tree import (
 from fixtures.amount import amount
 
 MOST = 64
-LAW = settings(max_examples=amount(60, 300), deadline=None)
+LAW = settings(max_examples=amount(60, 300))
 #: Leaves and roots of the test data of Certificate Transparency.
 CT_LEAVES = [
     bytes.fromhex(text)

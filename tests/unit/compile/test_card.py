@@ -431,13 +431,11 @@ def test_the_same_condition_twice_is_not_the_same_as_once() -> None:
 UNITS = ["mm/s", "mm", "mN", "microradian", "permille", "millikelvin", "g", "ms", "byte", "count"]
 
 
-@settings(deadline=None)
 @given(INTEGERS, INTEGERS, st.sampled_from([*UNITS, "parsec"]))
 def test_two_quantities_that_differ_never_read_alike(one: int, two: int, unit: str) -> None:
     assert (spoken.quantity(one, unit) == spoken.quantity(two, unit)) is (one == two)
 
 
-@settings(deadline=None)
 @given(st.integers(min_value=-(10**11), max_value=10**11), st.sampled_from(["mm/s", "mm", "mN"]))
 def test_what_is_read_compiles_to_what_was_signed(value: int, unit: str) -> None:
     assert to_integer(spoken.quantity(value, unit), unit, where="x") == value

@@ -459,7 +459,7 @@ PATHS = [
 ]
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.sets(st.sampled_from(PATHS), min_size=1))
 def test_a_draft_with_holes_is_never_filled_and_answers_give_back_what_was_there(
     holes: set[str],
@@ -483,7 +483,7 @@ def value_at(draft: Any, field: str) -> Any:
     return draft
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),

@@ -52,9 +52,9 @@ from fixtures.amount import amount
 from fixtures.cases import case
 
 replace = msgspec.structs.replace
-LAW = settings(max_examples=amount(50, 200), deadline=None)
+LAW = settings(max_examples=amount(50, 200))
 #: Making a random mission takes far longer than encoding it.
-MISSION_LAW = settings(max_examples=amount(15, 60), deadline=None)
+MISSION_LAW = settings(max_examples=amount(15, 60))
 
 #: Any text that UTF-8 can hold: control characters, DEL, quotes, astral, noncharacters.
 texts = st.text(alphabet=st.characters(exclude_categories=["Cs"]), max_size=40) | st.sampled_from(
@@ -263,7 +263,7 @@ def test_an_integer_that_a_double_cannot_hold_is_never_signed(number: int) -> No
 # -- one object per byte string --------------------------------------------------------------------
 
 
-@settings(max_examples=amount(100, 500), deadline=None)
+@settings(max_examples=amount(100, 500))
 @given(st.data())
 def test_every_accepted_byte_string_is_the_encoding_of_what_it_says(data: st.DataObject) -> None:
     """Flip, insert, delete, repeat: refused as malformed, or canonical after all."""

@@ -167,7 +167,7 @@ def test_a_repeated_corner_changes_nothing() -> None:
 coordinates = st.integers(-30, 30)
 points = st.tuples(coordinates, coordinates)
 simple = st.lists(points, min_size=3, max_size=7, unique=True).map(tuple).filter(is_simple)
-LAW = settings(max_examples=amount(30, 150), deadline=None)
+LAW = settings(max_examples=amount(30, 150))
 
 
 @LAW

@@ -555,14 +555,14 @@ def test_an_object_of_another_kind_is_opened_in_its_own_name() -> None:
 # -- anything at all -------------------------------------------------------------------------------
 
 
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(st.binary(max_size=200))
 def test_no_bytes_raise_anything_but_malformed(data: bytes) -> None:
     with pytest.raises(MalformedError):
         verified(data)
 
 
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(st.data())
 def test_no_change_of_a_token_s_bytes_is_accepted_or_raises_anything_else(
     data: st.DataObject,

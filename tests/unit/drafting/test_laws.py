@@ -123,9 +123,7 @@ def test_no_draft_names_what_nobody_named(place: str) -> None:
     }[place]
     drafted = 0
 
-    @settings(
-        max_examples=amount(75, 300), deadline=None, suppress_health_check=[HealthCheck.too_slow]
-    )
+    @settings(max_examples=amount(75, 300), suppress_health_check=[HealthCheck.too_slow])
     @given(sentence=sentences(words), data=st.data())
     def law(sentence: str, data: Any) -> None:
         nonlocal drafted
@@ -147,7 +145,7 @@ def test_no_draft_names_what_nobody_named(place: str) -> None:
     assert drafted > amount(0, 10)  # the law is about something
 
 
-@settings(max_examples=amount(20, 80), deadline=None)
+@settings(max_examples=amount(20, 80))
 @given(st.text(max_size=300))
 def test_any_text_is_a_draft_a_question_or_a_refusal_with_a_place(sentence: str) -> None:
     try:
@@ -158,7 +156,7 @@ def test_any_text_is_a_draft_a_question_or_a_refusal_with_a_place(sentence: str)
     assert bool(made.draft) != bool(made.questions)
 
 
-@settings(max_examples=amount(20, 80), deadline=None)
+@settings(max_examples=amount(20, 80))
 @given(
     sentence=sentences(HOSPITAL_WORDS),
     word=st.sampled_from(["zorb", "kindly-not", "\u00e9t\u00e9"]),
@@ -171,7 +169,7 @@ def test_a_word_more_is_a_question_more(sentence: str, word: str) -> None:
         assert made.draft == {}
 
 
-@settings(max_examples=amount(50, 200), deadline=None)
+@settings(max_examples=amount(50, 200))
 @given(
     word=st.sampled_from(
         [*sorted(LIMITING - {"once"}), "don't", "dont", "mustn\u2019t", "Won't", "shant", "NEVER"]
@@ -221,7 +219,7 @@ LABELS = st.one_of(
 )
 
 
-@settings(max_examples=amount(100, 400), deadline=None)
+@settings(max_examples=amount(100, 400))
 @given(cut=st.sampled_from(BEHIND_NOUNS), label=LABELS)
 def test_a_label_behind_a_noun_never_vanishes(cut: tuple[str, str], label: str) -> None:
     """`package A` is another thing than `package`: a draft for both would be a guess."""
@@ -237,7 +235,7 @@ def test_a_label_behind_a_noun_never_vanishes(cut: tuple[str, str], label: str) 
         assert made.draft["grants"] != plain.draft["grants"], (before, label, after)
 
 
-@settings(max_examples=amount(25, 100), deadline=None)
+@settings(max_examples=amount(25, 100))
 @given(
     field=st.text(min_size=1, max_size=12),
     value=st.text(max_size=12),

@@ -96,7 +96,7 @@ def test_a_signature_of_another_length_does_not_hold(algorithm: Algorithm, chang
 
 
 @each
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_a_signature_with_one_bit_flipped_does_not_hold(
     algorithm: Algorithm, data: st.DataObject

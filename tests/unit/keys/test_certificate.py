@@ -573,7 +573,7 @@ def test_a_certificate_cut_short_anywhere_is_refused() -> None:
             load(der[:length], where=LEAF)
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.data())
 def test_a_certificate_with_one_byte_changed_is_refused(data: st.DataObject) -> None:
     """From the issuer's name on; what precedes it is version, serial and algorithm."""

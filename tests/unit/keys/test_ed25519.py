@@ -112,7 +112,7 @@ def test_a_key_of_another_length_is_refused(length: int) -> None:
     assert f"got {length}" in refused(b"\x07" * length).message
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.binary(min_size=32, max_size=32))
 def test_every_honest_key_is_accepted_as_it_is(seed: bytes) -> None:
     encoded = raw(Ed25519PrivateKey.from_private_bytes(seed))
@@ -141,7 +141,7 @@ def test_a_key_of_another_kind_is_refused(key: object) -> None:
     assert caught.value.where == "root"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.binary(max_size=80), st.integers(0, 511))
 def test_a_signature_with_any_bit_flipped_does_not_hold(message: bytes, bit: int) -> None:
     key = Ed25519PrivateKey.from_private_bytes(b"s" * 32)

@@ -41,7 +41,7 @@ from fixtures.amount import amount
 from unit.keys import chains
 from unit.keys.chains import NOW, TODAY, key_of
 
-LAW = settings(max_examples=amount(80, 400), deadline=None)
+LAW = settings(max_examples=amount(80, 400))
 ROBOT = RobotId("courier-1")
 ORIGIN = origin_of(ROBOT)
 SAID = Checkpoint(origin=ORIGIN, size=3, root=bytes(32), chain=bytes(range(32)))

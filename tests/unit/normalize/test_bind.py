@@ -347,7 +347,7 @@ def test_every_spelling_of_the_site_means_its_thing_and_no_other_does() -> None:
             assert action("pick_up", object=name).object == item
 
 
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(st.text(max_size=20))
 def test_a_name_that_nobody_gave_is_unknown(name: str) -> None:
     assume(name not in binder().spellings())
@@ -370,7 +370,7 @@ def digest(found: Action) -> str:
     return digest_of(Tag.ACTION, found)
 
 
-@settings(max_examples=amount(25, 60), deadline=None)
+@settings(max_examples=amount(25, 60))
 @given(st.permutations(["destination", "speed", "via", "reason"]), st.text(max_size=10))
 def test_the_order_of_arguments_and_what_is_noted_make_no_difference(
     order: list[str], reason: str
@@ -447,7 +447,7 @@ def scaled(value: Any, rounding: Rounding, per_unit: Fraction = Fraction(1)) -> 
     return scale(value, parameter(rounding), per_unit=per_unit, where="x")
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(decimals, factors)
 def test_a_limit_is_rounded_away_from_zero_and_by_less_than_one(
     value: Decimal, factor: Fraction
@@ -460,7 +460,7 @@ def test_a_limit_is_rounded_away_from_zero_and_by_less_than_one(
     assert (found == exact) == (exact.denominator == 1)
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(decimals, factors)
 def test_a_position_is_rounded_to_the_nearest_and_halves_to_even(
     value: Decimal, factor: Fraction
@@ -472,7 +472,7 @@ def test_a_position_is_rounded_to_the_nearest_and_halves_to_even(
         assert found % 2 == 0
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(decimals, factors)
 def test_a_count_is_exact_or_refused(value: Decimal, factor: Fraction) -> None:
     exact = Fraction(value) * factor
@@ -503,7 +503,7 @@ def test_roundings_by_example() -> None:
             assert scaled(Decimal(value), Rounding.POSITION) == position
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(decimals, factors, st.integers(-1000, 1000), st.integers(-1000, 1000))
 def test_a_number_passes_exactly_when_what_is_carried_lies_in_the_range(
     value: Decimal, factor: Fraction, one: int, two: int

@@ -67,7 +67,7 @@ def test_where_the_robot_looks_and_what_is_noted_changes_nothing() -> None:
     assert bind(GO_TO_POSE, {"goal": {**FIRST, "pose": looks}}) == navigate("square-1")
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.integers(-4000, 12_000), st.integers(-1000, 3000))
 def test_every_position_is_in_its_one_square_or_refused(x: int, y: int) -> None:
     squares = {f"square-{n}": left for n, left in ((1, 0), (2, 3000), (3, 6000))}
@@ -188,7 +188,7 @@ def test_one_stray_leaf_refuses_the_goal_in_its_place() -> None:
             refused(GO_TO_POSE, {**good, **change}, reason, where)
 
 
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.text(max_size=4),

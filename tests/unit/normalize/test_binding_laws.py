@@ -99,7 +99,7 @@ SURFACES = (
 )
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(tools | st.lists(tools, min_size=1, max_size=2))
 def test_any_binding_is_checked_and_a_sound_one_keeps_its_law(tool: Any) -> None:
     """No fault of a binding escapes as an exception; without one, samples bind and rebuild."""
@@ -173,7 +173,7 @@ def likely(draw: st.DrawFn) -> Plain:
     }
 
 
-@settings(max_examples=amount(50, 250), deadline=None)
+@settings(max_examples=amount(50, 250))
 @given(st.data())
 def test_any_call_of_any_sound_binding_is_dispatched_as_it_was_authorized(
     data: st.DataObject,

@@ -115,7 +115,7 @@ def test_of_two_inputs_the_least_trusted_gives_the_label() -> None:
                 assert context.base() is expected
 
 
-@settings(max_examples=amount(25, 100), deadline=None)
+@settings(max_examples=amount(25, 100))
 @given(st.lists(st.tuples(st.sampled_from(sorted(TABLE)), st.text(max_size=8)), max_size=8))
 def test_more_context_never_makes_a_planner_more_trusted(inputs: list[tuple[str, str]]) -> None:
     context = ledger()
@@ -342,7 +342,7 @@ def test_the_digest_is_of_the_text_as_it_was_before_folding() -> None:
     assert found == [digest(Tag.RAW, text.encode("utf-8", "surrogatepass")) for text in texts]
 
 
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(st.text(max_size=200))
 def test_no_text_is_refused_or_lost(text: str) -> None:
     context = ledger()

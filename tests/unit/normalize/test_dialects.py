@@ -351,7 +351,7 @@ scraps = st.recursive(
 )
 
 
-@settings(max_examples=amount(50, 250), deadline=None)
+@settings(max_examples=amount(50, 250))
 @given(scraps, st.sampled_from(Dialect))
 def test_nothing_made_of_the_right_words_raises_anything_but_malformed(
     plan: Any, dialect: Dialect
@@ -365,7 +365,7 @@ def test_nothing_made_of_the_right_words_raises_anything_but_malformed(
         assert isinstance(found.arguments, dict)
 
 
-@settings(max_examples=amount(50, 250), deadline=None)
+@settings(max_examples=amount(50, 250))
 @given(st.text(max_size=80), st.sampled_from(Dialect))
 def test_no_text_at_all_raises_anything_but_malformed(text: str, dialect: Dialect) -> None:
     try:

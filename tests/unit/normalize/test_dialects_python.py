@@ -329,7 +329,7 @@ def test_code_is_read_to_its_longest_and_refused_beyond() -> None:
     refused(text, "input", reason=Reason.INPUT_TOO_LARGE)
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.text(alphabet="go(a='1',-.)[]{}:= \n#\\xTrue\"", max_size=40) | st.text(max_size=40))
 def test_whatever_is_accepted_python_means_too(text: str) -> None:
     """The oracle is Python's own literals: same names, same values, floats apart."""

@@ -273,13 +273,13 @@ def say(number: int, joint: str = " and ") -> str:
     return f"{say(number // unit, joint)} {word}" + (f"{between}{say(rest, joint)}" if rest else "")
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(st.integers(0, 999_999), st.sampled_from([" and ", " "]))
 def test_every_number_below_a_million_is_read_back(number: int, joint: str) -> None:
     assert [token.text for token in read_tokens(say(number, joint))] == [str(number)]
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.integers(100, 9_999), st.booleans())
 def test_every_numbered_place_is_found_by_its_spoken_number(number: int, by_digit: bool) -> None:
     site = Names({f"Station {number}": "here", "Station 99999": "there"})
@@ -482,13 +482,13 @@ def test_a_flood_of_mentions_keeps_the_first_and_the_last() -> None:
     assert of_camera == [item.evidence for item in fresh.influences(going)]
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(st.text(max_size=60), st.text(max_size=60))
 def test_no_text_breaks_the_reader_and_a_name_among_it_is_found(before: str, after: str) -> None:
     assert "station-101" in named(f"{before}\n.Station 101.\n{after}")
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(st.text())
 def test_folding_is_bounded_and_a_skeleton_keeps_its_length(text: str) -> None:
     folded = fold(text)

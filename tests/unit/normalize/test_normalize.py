@@ -174,7 +174,7 @@ def test_a_reply_at_the_limit_is_still_read() -> None:
 
 # -- anything at all -------------------------------------------------------------------------------
 
-FUZZ = settings(max_examples=amount(50, 250), deadline=None)
+FUZZ = settings(max_examples=amount(50, 250))
 words = st.sampled_from(
     [
         "navigate_to",

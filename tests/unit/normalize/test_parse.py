@@ -26,7 +26,7 @@ from authguard_r.normalize.parse import (
 from fixtures.amount import amount
 from fixtures.cases import case
 
-LAW = settings(max_examples=amount(40, 200), deadline=None)
+LAW = settings(max_examples=amount(40, 200))
 
 
 def refused_json(text: str, where: str = "input") -> MalformedError:

@@ -249,7 +249,7 @@ def test_calls_of_one_meaning_are_dispatched_as_the_same_bytes() -> None:
     ]
 
 
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(
     st.sampled_from(sorted(scenarios.site().regions)),
     st.lists(st.sampled_from(sorted(scenarios.site().regions)), max_size=3),
@@ -271,7 +271,7 @@ def test_binding_a_rebuilt_call_gives_the_same_action(
     assert json.loads(call_bytes(call))["arguments"]["speed"] == speed / 1000
 
 
-@settings(max_examples=amount(25, 100), deadline=None)
+@settings(max_examples=amount(25, 100))
 @given(st.integers(-100, 6100), st.integers(0, 2000), st.integers(-100, 6100), st.integers(0, 2000))
 def test_two_positions_are_one_call_exactly_when_they_are_one_action(
     x: int, y: int, u: int, v: int
@@ -299,7 +299,7 @@ factors = st.fractions(Fraction(1, 1000), 10**6, max_denominator=1000).map(str) 
 )
 
 
-@settings(max_examples=amount(80, 400), deadline=None)
+@settings(max_examples=amount(80, 400))
 @given(
     st.integers(-(10**9), 10**9), factors, st.sampled_from(Rounding), st.integers(-300_000, 300_000)
 )
@@ -390,7 +390,7 @@ anything = st.recursive(
 
 @pytest.mark.complete
 @pytest.mark.parametrize("name", shipped_names())
-@settings(max_examples=amount(25, 60), deadline=None)
+@settings(max_examples=amount(25, 60))
 @given(data=st.data())
 def test_however_a_call_is_changed_equal_scopes_are_equal_bytes(
     name: str, data: st.DataObject

@@ -51,9 +51,7 @@ ANSWERS: tuple[tuple[str, Any], ...] = (
     (r"risk_policy\.roles", ["supervisor"]),
     (r"risk_policy\.valid", "1 min"),
 )
-RELAXED = settings(
-    max_examples=amount(20, 60), deadline=None, suppress_health_check=list(HealthCheck)
-)
+RELAXED = settings(max_examples=amount(20, 60), suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(min_value=0, max_value=2**63)
 PLACES = ("dock", "pharmacy", "station-101", "public-corridor")
 

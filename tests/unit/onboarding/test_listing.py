@@ -278,7 +278,7 @@ JSONS = st.recursive(
 )
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(JSONS)
 def test_whatever_json_is_a_list_or_an_error_with_a_place(value: Any) -> None:
     text = json.dumps(value)
@@ -291,7 +291,7 @@ def test_whatever_json_is_a_list_or_an_error_with_a_place(value: Any) -> None:
     assert all(place.startswith(("f", "list")) for place in places)
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.text(max_size=200))
 def test_whatever_text_is_a_list_or_an_error_with_a_place(text: str) -> None:
     places: list[str] = []

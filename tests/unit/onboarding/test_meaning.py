@@ -317,7 +317,7 @@ def leaves(node: Any, prefix: str = "") -> dict[str, Any]:
     }
 
 
-@settings(max_examples=amount(50, 250), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=amount(50, 250), suppress_health_check=list(HealthCheck))
 @given(CALLS)
 def test_whatever_a_planner_wrote_nothing_is_proposed_that_did_not_occur(
     calls: list[tuple[str, dict[str, Any]]],
@@ -346,7 +346,7 @@ def test_whatever_a_planner_wrote_nothing_is_proposed_that_did_not_occur(
             normalize(plan.encode(), binder=binder, dialect=Dialect.JSON)
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
 def test_whatever_bytes_a_planner_wrote_are_read_or_left_out_with_a_reason(data: bytes) -> None:
     found = learned(data)

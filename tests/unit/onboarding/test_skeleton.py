@@ -93,7 +93,7 @@ def refusal(binder: Binder, plan: Any, dialect: Dialect) -> Reason:
 
 
 @pytest.mark.complete
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(TOOLS, st.data())
 def test_whatever_one_calls_with_whatever_arguments_is_refused(
     tools: dict[str, Any], data: st.DataObject
@@ -117,7 +117,7 @@ OF_GRAPH = binder_of(skeleton(GRAPH, Source.ROS))
 
 
 @pytest.mark.complete
-@settings(max_examples=amount(30, 150), deadline=None)
+@settings(max_examples=amount(30, 150))
 @given(
     st.sampled_from(["/cmd_vel", "/other", "/reset", "/b/set", "/go", "/unknown"]),
     st.dictionaries(NAMES, VALUES),
@@ -137,7 +137,7 @@ def test_whatever_is_published_called_or_sent_is_refused(name: str, body: dict[s
 
 
 @pytest.mark.complete
-@settings(max_examples=amount(25, 100), deadline=None)
+@settings(max_examples=amount(25, 100))
 @given(TOOLS)
 def test_the_check_finds_nothing_unmapped_by_our_list_and_by_the_first_one(
     tools: dict[str, Any],

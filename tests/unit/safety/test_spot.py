@@ -34,7 +34,6 @@ NAMES = ("a", "b", "c")
 PAIRS = int(os.environ.get("AUTHGUARD_PAIRS", amount(300, 1_500)))
 LAWFUL = settings(
     max_examples=PAIRS,
-    deadline=None,
     database=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )

@@ -80,7 +80,7 @@ def flooded(cells: Cells) -> set[Cells]:
 grids = st.frozensets(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=50)
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(grids)
 def test_components_are_the_connected_cells(cells: Cells) -> None:
     found = components(runs_of(cells))
@@ -88,7 +88,7 @@ def test_components_are_the_connected_cells(cells: Cells) -> None:
     assert sum(map(size_of, found)) == len(cells)
 
 
-@settings(max_examples=amount(80, 400), deadline=None)
+@settings(max_examples=amount(80, 400))
 @given(grids)
 def test_every_cell_is_in_one_part_and_every_part_is_simple(cells: Cells) -> None:
     """No cell that is not free comes into a region by an outline drawn too far."""

@@ -79,7 +79,7 @@ def test_a_name_cannot_draw_or_load_anything() -> None:
     assert not list(drawn(site).iter(f"{SVG}script"))
 
 
-@settings(max_examples=amount(25, 100), deadline=None)
+@settings(max_examples=amount(25, 100))
 @given(st.text(max_size=20), st.integers(1, 10**9))
 def test_any_name_and_any_size_is_a_picture(name: str, side: int) -> None:
     region = Region(

@@ -227,7 +227,7 @@ def test_more_ways_than_a_side_has_room_for_are_refused() -> None:
     assert error.where.startswith("g:region_connections[")
 
 
-@settings(max_examples=amount(25, 60), deadline=None)
+@settings(max_examples=amount(25, 60))
 @given(
     st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=1, max_size=8),
     st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=8),

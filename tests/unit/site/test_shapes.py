@@ -58,7 +58,7 @@ def random_outline(dice: random.Random) -> Any:
             return points
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size=3, max_size=7))
 def test_an_outline_is_simple_when_shapely_says_so(corners: list[tuple[int, int]]) -> None:
     points = tuple(corners)
@@ -67,7 +67,7 @@ def test_an_outline_is_simple_when_shapely_says_so(corners: list[tuple[int, int]
     assert (doubled_area(points) != 0 and is_simple(points)) == shapely.Polygon(ring).is_valid
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(outlines(), outlines())
 def test_overlap_and_containment_are_shapely_s_on_random_polygons(one: Any, other: Any) -> None:
     first, second = shapely.Polygon(one), shapely.Polygon(other)
@@ -96,7 +96,7 @@ def test_overlap_and_containment_are_shapely_s_on_thousands_of_pairs() -> None:
     assert all(count > turns // 500 for count in found.values()), found
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(outlines(), outlines())
 def test_overlap_is_mutual_and_a_polygon_overlaps_itself_however_it_is_written(
     one: Any, other: Any

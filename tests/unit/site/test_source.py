@@ -204,7 +204,7 @@ def test_nesting_that_would_overflow_the_stack_is_refused(text: str) -> None:
         refused(text)
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(st.text(alphabet="ab01:-,[]{}#'\"&*|>%@\n\t \\.~?", max_size=40))
 def test_no_text_without_tags_raises_anything_but_malformed(text: str) -> None:
     with contextlib.suppress(MalformedError):
@@ -509,7 +509,7 @@ def with_value(path: tuple[Any, ...], value: Any) -> Any:
     return changed
 
 
-@settings(max_examples=amount(60, 300), deadline=None)
+@settings(max_examples=amount(60, 300))
 @given(st.sampled_from(PLACES), VALUES | st.sampled_from(PLACES).map(lambda path: path[-1:]))
 def test_a_site_with_any_value_anywhere_is_judged_or_refused_with_its_file(
     path: tuple[Any, ...], value: Any
@@ -528,7 +528,7 @@ def test_a_site_with_any_value_anywhere_is_judged_or_refused_with_its_file(
     assert all(where.partition(":")[0] == "x" for where in refusals)
 
 
-@settings(max_examples=amount(40, 200), deadline=None)
+@settings(max_examples=amount(40, 200))
 @given(
     st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=3, max_size=6),
     st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=3, max_size=6),
