@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import threading
@@ -283,9 +284,18 @@ def test_a_killed_gate_leaves_a_standing_robot_and_a_suspended_mission(gate: Run
 
 
 def connected(gate: RunningGate) -> bool:
+    """True while robot and estimator are connected to the gate, and the robot to the stop lane."""
     with operator(gate) as person:
         roles = {client["role"] for client in person.status()["clients"]}
-    return {"controller", "estimator"} <= roles
+    return {"controller", "estimator"} <= roles and is_at_lane(gate)
+
+
+def is_at_lane(gate: RunningGate) -> bool:
+    """True while the newest robot is connected to the stop lane, by its own log."""
+    logs = gate.folder.glob("*-robot.err")
+    newest = max(logs, key=lambda path: int(path.name.partition("-")[0]))
+    events = re.findall(r'"event": "(\w+)", "channel": "stop.sock"', newest.read_text())
+    return events[-1:] == ["connected"]
 
 
 def test_a_clean_end_stops_the_robot_and_writes_how(gate: RunningGate) -> None:
