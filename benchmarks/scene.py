@@ -158,7 +158,7 @@ class Machine:
         self._utc_base = scenarios.START_MS - time.time_ns() // 1_000_000
         self._mono_base = time.monotonic_ns() // 1_000_000
         self._jumped_ms = 0
-        self._seq = 0
+        self._seq = self._fence = 0
         self._world = scenarios.world("pharmacy", "package-p1")
         self._estimator = folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
         self._token: bytes | None = None
@@ -178,11 +178,15 @@ class Machine:
         """Let time pass and sign a new snapshot."""
         self._jumped_ms += pause_ms
         self._seq += 1
-        snapshot = snapshot_of(self._world, robot=scenarios.RID, epoch=1, seq=self._seq)
+        fenced = {"fence": self._fence, "pose_fence": self._fence}
+        snapshot = snapshot_of(self._world, robot=scenarios.RID, epoch=1, seq=self._seq, **fenced)
         self._token = sign_object(snapshot, Tag.STATE, self._estimator)
 
     def latest(self) -> bytes | None:
         return self._token
+
+    def fence(self, number: int) -> None:
+        self._fence = number
 
     def dispatch(self, action: Action, lease: Lease) -> Machine:
         self.dispatched_ns = perf_counter_ns()
@@ -255,5 +259,6 @@ def command(bench_: Bench, mid: str, digest: Digest, verb: str) -> bytes:
         mission=digest,
         nonce=b64(scenarios.random_bytes(16)),
         expires_ms=bench_.gate.ledger.now().utc_ms + 60_000,
+        issued_ms=bench_.gate.ledger.now().utc_ms,
     )
     return sign_object(order, Tag.COMMAND, folder_signer(scenarios.trust_folder(), "operator-1"))

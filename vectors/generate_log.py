@@ -210,6 +210,8 @@ def log_vectors() -> list[Json]:
     last = note_line(note.encode()).decode()
     forged = rechained([edited(row, decision="accept") if row.seq == 5 else row for row in rows])
     destroyed = [Row(r.seq, r.record, b"{}", r.link) if r.seq == 2 else r for r in rows]
+    committed = json.loads(rows[2].record)["committed"]
+    missing = [{"mid": "m-1", "name": n, "count": 1, "first": 2} for n in sorted(committed)]
     early = note_line(signed_note(rows[:4]).encode()).decode()
     stranger = note_line(
         Note(note.text, (line(KEY, OTHER.sign(note.text.encode())),)).encode()
@@ -245,7 +247,11 @@ def log_vectors() -> list[Json]:
         ),
         of("three of three witnesses", [*lines, last], refused, witnesses=witnesses, quorum=3),
         of("an early checkpoint", [*lines, early], fine(4)),
-        of("a value is gone", [*(row_line(row).decode() for row in destroyed), last], fine()),
+        of(
+            "a value is gone",
+            [*(row_line(row).decode() for row in destroyed), last],
+            {**fine(), "missing": missing},
+        ),
         of("no checkpoint", lines, refused),
         of("no checkpoint, no key", lines, fine(0, "unanchored"), keyless=True),
         of("signed with another key", [*lines, stranger], refused),

@@ -24,15 +24,15 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests")]
 
 from authguard_r.audit.boxes import (  # noqa: E402
-    BOX,
     SEALING,
-    WRAP,
     Cover,
     DataClass,
     append_covered,
     opened,
 )
 from authguard_r.audit.record import (  # noqa: E402
+    BOX,
+    WRAP,
     Entry,
     Sealed,
     append,

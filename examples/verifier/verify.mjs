@@ -30,6 +30,19 @@ const fields = (value, names, what) => {
   need(Object.keys(value).sort().join() === names.join(), `${what} has other fields`);
 };
 
+// values that lie beside no record any more; an order to destroy explains what lay in boxes before it
+const [gone, OPEN] = [new Map(), ["now", "site", "safety", "policy", "list"]];
+function miss({ link, committed, kind, open }, sealed) {
+  const boxed = Object.keys(committed).some((name) => name.startsWith("box."));
+  const lost = Object.keys(committed).filter((name) => !Object.hasOwn(sealed, name));
+  for (const name of lost.filter((one) => !boxed || /^(box|wrap)\./.test(one) || OPEN.includes(one))) gone.set(`${link.mid} ${name}`, link.seq);
+  if (kind !== "management" || link.decision !== "shred" || !Array.isArray(open.classes)) return;
+  for (const key of gone.keys()) {
+    const [mid, data] = key.split(/ (?:box|wrap)\./);
+    if (data && mid === open.of && data.split("+").some((one) => open.classes.includes(one))) gone.delete(key);
+  }
+}
+
 // one row: canonical bytes, place in the chain, evidence, link, commitments
 function checkRow(row, seq, prev) {
   fields(row, ["link", "record", "sealed", "seq"], "the line");
@@ -47,11 +60,13 @@ function checkRow(row, seq, prev) {
   const own = digest("audit", canonical(link));
   need(row.link === url64(own), "its link does not match its fields");
   need(Object.values(committed).every((text) => /^[\w-]{43}$/.test(text)), "a commitment that is none");
-  for (const [name, item] of Object.entries(parsed(row.sealed, "the values"))) {
+  const sealed = parsed(row.sealed, "the values");
+  for (const [name, item] of Object.entries(sealed)) {
     fields(item, ["salt", "value"], `the value ${name}`);
     const expected = url64(digest("commitment", canonical({ name, salt: item.salt, value: item.value })));
     need(Object.hasOwn(committed, name) && committed[name] === expected, `the value ${name} does not match its commitment`);
   }
+  miss(record, sealed);
   return own;
 }
 
@@ -138,6 +153,8 @@ async function main() {
   }
   need(!known || known.size <= size, `expected the ${known?.size} signed records: the log is cut off`);
   console.log(`whole: ${size} records, head ${url64(prev)}, root ${rootOf(peaks).toString("base64")}`);
+  for (const [key, at] of gone) console.log(`MISSING: ${key}, last at record ${at}: no order says why`);
+  process.exitCode = gone.size ? 1 : 0;
   console.log(known ? `anchored: ${known.by}, ${known.size} of ${size} records` : "anchored: unanchored");
 }
 let size = null; // records that were found whole; null before the first was looked at

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import (
-    AuthGuardError,
     ControllerError,
     EnvironmentFault,
     MalformedError,
@@ -51,7 +49,7 @@ from authguard_r.management.lists import Lists
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
-from authguard_r.running import STAND_WITHIN_MS, Watch
+from authguard_r.running import STAND_WITHIN_MS, Watch, quietly
 from authguard_r.safety import SafetyConfig, default_config, gate_of, safety_digest
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.sealer import sealer_of
@@ -89,10 +87,13 @@ class Gate(Struct, frozen=True, kw_only=True):
     watch: Watch
     trust: Trust
 
+    def ended(self) -> bool:
+        """Write every refusal that waits or was only counted; False: some are lost."""
+        return quietly(lambda: self.ledger.flush(everything=True)) is not None
+
     def close(self) -> None:
         """Say a last time, outside, how far the log has come, and let go of the store."""
-        with suppress(AuthGuardError):
-            self.ledger.flush(everything=True)
+        self.ended()
         self.anchor.end()
         self.ledger.close()
 
@@ -118,6 +119,7 @@ def assemble(
     signer: Signer | None = None,
     notary: NotaryPolicy = NotaryPolicy(),  # noqa: B008 - frozen
     sealing: SealingPolicy | None = None,
+    sealed: dict[str, object] | None = None,
 ) -> Gate:
     """Return the gate made of these parts.
 
@@ -141,6 +143,7 @@ def assemble(
         signer: the gate's own key, for counter and checkpoints; without one there are none.
         notary: when checkpoints are made, and who witnesses them.
         sealing: what of the log is sealed; None: as the store holds it of the last gate.
+        sealed: what else the log's first record keeps for a replay, by name; None: nothing.
 
     Raises:
         AuthenticityError: the gate's certificate does not hold.
@@ -161,7 +164,7 @@ def assemble(
             robot=rid,
             salts=salts,
             genesis={**_first(facts, trust), **genesis},
-            inputs={"site": site},
+            inputs={"site": site, **(sealed or {})},
             refusals=refusals,
             marks=marks,
             since_ms=since_ms,
@@ -280,12 +283,8 @@ def _require_real(trust: Trust, *, demo: bool) -> None:
 def sign_terminal(gate: Gate, signer: Signer) -> bytes:
     """Return the signed terminal digest of the log as it is now: its anchor, if kept elsewhere."""
     size, head = gate.ledger.run(lambda act: act.head())
-    terminal = Terminal(
-        log=gate.facts.robot.rid,
-        size=size,
-        head=Digest(b64(head)),
-        time_ms=gate.ledger.now().utc_ms,
-    )
+    log, time_ms = gate.facts.robot.rid, gate.ledger.now().utc_ms
+    terminal = Terminal(log=log, size=size, head=Digest(b64(head)), time_ms=time_ms)
     return sign_object(terminal, Tag.CHECKPOINT, signer)
 
 
@@ -363,6 +362,7 @@ def simulate(
             "safety": safety_digest(config),
             "clock": SIMULATED,
         },
+        sealed={"safety": config},
         demo=True,
         counter=counter,
         signer=signer,
@@ -377,6 +377,9 @@ class _NoRobot:
     def latest(self) -> bytes | None:
         """Return nothing: no state is attested."""
         return None
+
+    def fence(self, number: int) -> None:
+        """Do nothing: nothing is measured."""
 
     def dispatch(self, action: Action, lease: Lease) -> Flight:  # noqa: ARG002
         """Refuse: there is no robot here.

@@ -140,11 +140,11 @@ class Enforcer:
             entry = decision_entry(judged, influences, counted(judged, self._facts))
             report = Report(judged=judged, influences=influences)
             if not self._commit(act, judged):
-                fold = (planner, *_cause(judged))
-                return msgspec.structs.replace(report, seq=act.refuse(entry, fold=fold))
-            seq = record_decision(act, judged, entry)
-            keep(act, report, seq)
-            return msgspec.structs.replace(report, seq=seq)
+                seq = act.refuse(entry, fold=(planner, *_cause(judged)))
+                return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
+            number = record_decision(act, judged, entry)
+            keep(act, report, number)
+            return msgspec.structs.replace(report, seq=number)
 
         try:
             self._require_suspended()
@@ -316,7 +316,12 @@ class Enforcer:
         made = partial(refused_proposal, error, client=planner, inputs=inputs or {})
         seq = quietly(lambda: self._ledger.refuse(made, fold=(planner, error.reason, error.where)))
         refusal = Refusal(error.reason, error.where, error.message)
-        return Report(judged=None, refusal=refusal, influences=influences, seq=seq)
+        told = Report(judged=None, refusal=refusal, influences=influences, seq=seq)
+        return msgspec.structs.replace(told, outcome_recorded=self._kept(seq))
+
+    def _kept(self, seq: int | None) -> bool:
+        """True of a refusal that is in the log or waits to be; else it is counted at most."""
+        return seq is not None or self._ledger.refusals.may_write()
 
     def refuse_plan(
         self,

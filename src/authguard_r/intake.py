@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from authguard_r.anchoring.anchor import Anchor
 from authguard_r.approvals import open_approval
@@ -117,20 +118,26 @@ class Intake:
         self.outlasts_clock = False
         #: Why the last snapshot was not taken in; None when it was.
         self.fault: AuthGuardError | None = None
+        ledger.when_fenced(source.fence)
+
+    @property
+    def newest(self) -> AttestedState | None:
+        """The newest attested state that was taken in, for what runs already."""
+        return self._state
 
     @property
     def state(self) -> AttestedState | None:
-        """The newest attested state that was taken in."""
-        return self._state
+        """The same for a decision: nothing in it counts that is from before the last motion."""
+        return None if self._state is None else replace(self._state, fence=self._ledger.fence)
 
     def refresh(self) -> AttestedState | None:
-        """Take in the newest snapshot; a bad one is recorded and leaves the last, which ages.
+        """Take in the newest snapshot and return `state`; a bad one is recorded, and the last ages.
 
         Not inside a turn: what it records is an act of its own.
         """
         data = self._source.latest()
         if data is None or data == self._seen:
-            return self._state
+            return self.state
         try:
             state = self._attest(data)
         except (MalformedError, AuthenticityError) as error:
@@ -149,7 +156,7 @@ class Intake:
         else:
             self._seen, self._state, self.fault = data, state, None
             self._held = data
-        return self._state
+        return self.state
 
     def doubt(self, now: Now) -> None:
         """Believe nothing for having been believed before: who may sign what has changed.

@@ -21,7 +21,7 @@ from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, MalformedError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId, RobotId
-from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.ports import Clock, Store, Turn
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -32,7 +32,7 @@ T = TypeVar("T")
 #: Kind, key and value of something that the store holds.
 Held = tuple[str, str, bytes]
 #: An operator's stop that stands, until a signed order makes a mission active.
-STOP: Held = ("stop", "operator", b"1")
+STOP = ("stop", "operator")
 #: How far the wall clock may be behind the last committed time, in milliseconds.
 SKEW_MS = 2_000
 
@@ -99,13 +99,17 @@ class Ledger:
         self._high = Now(since_ms, 0)
         self._behind = False
         self.snapshot = (-1, -1)
+        #: The log's size after the last record of a motion's end; it never goes back.
+        self.fence = 0
+        self._fenced: Callable[[int], None] = lambda _: None
+        self._fencing = threading.Lock()
         #: How many missions have come to an end since the start.
         self.endings = 0
         self._standings: dict[MissionId, tuple[int, Standing]] = {}
         self._decoded: dict[MissionId, tuple[bytes, Standing]] = {}
         self._turns = 0
         self._mirror = threading.Lock()
-        self._refusals = Refusals(refusals, restore=store.restore, mono_ms=self.mono_ms)
+        self.refusals = Refusals(refusals, restore=store.restore, mono_ms=self.mono_ms)
         store.run(lambda turn: self._open(turn, genesis, inputs or {}))
 
     def mono_ms(self) -> int:
@@ -144,7 +148,7 @@ class Ledger:
 
         def turn_job(page: Page) -> tuple[T, Act]:
             self._turns += 1  # in the order of the turns, which is the order of the log
-            act = Act(page, self.now(), self._refusals, order=self._turns, decoded=self._decoded)
+            act = Act(page, self.now(), self.refusals, order=self._turns, decoded=self._decoded)
             result = job(act)
             if act.changed:
                 page.turn.put("clock", "high", self._marks(act.now))
@@ -162,8 +166,9 @@ class Ledger:
         def turn_job(turn: Turn) -> T:
             for page in tries:  # the disk was full: what is left is not for refusals
                 page.undo()
-                self._refusals.out_of_room()
-            tries.append(Page(turn, self._refusals, self._salts, self._open_marks, self.sealer))
+                self.refusals.out_of_room()
+            more, fence = (self._salts, self._open_marks, self.sealer), self.raise_fence
+            tries.append(Page(turn, self.refusals, *more, fence=fence))
             return job(tries[-1])
 
         try:
@@ -172,6 +177,21 @@ class Ledger:
             for page in tries:
                 page.undo()
             raise
+
+    def when_fenced(self, call: Callable[[int], None]) -> None:
+        """Call a function with the fence now, and each time that it is raised."""
+        self._fenced = call
+        call(self.fence)
+
+    def raise_fence(self, size: int = 0) -> None:
+        """Ask for state from now on: a motion has ended.
+
+        Args:
+            size: of the log with its record; 0: it could not be recorded.
+        """
+        with self._fencing:
+            self.fence = max(self.fence + 1, size)
+            self._fenced(self.fence)
 
     def _marks(self, now: Now) -> bytes:
         return encode_fast(High(utc_ms=now.utc_ms, mono_ms=now.mono_ms, snapshot=self.snapshot))
@@ -250,39 +270,39 @@ class Ledger:
         Raises:
             StoreError: it was to be recorded now, and was not.
         """
-        if self._refusals.at_once(fold):
+        if self.refusals.at_once(fold):
             seq = self.note(entry)
-            self._refusals.recorded(fold)
+            self.refusals.recorded(fold)
             return seq
-        self._refusals.take(entry(self.last_ms()), fold)
+        self.refusals.take(entry(self.last_ms()), fold)
         return None
 
-    def flush(self, *, everything: bool = False) -> None:
+    def flush(self, *, everything: bool = False) -> bool:
         """Write the refusals that wait and the counts that are over.
 
         To be called at least every `delay_ms` of the policy, by the one who chose it.
 
         Args:
-            everything: the counts that go on, too: nothing comes after.
+            everything: the counts that go on, too, if need be from the store's reserve: nothing
+                comes after.
 
         Raises:
             StoreError: they were not written, and go on waiting.
         """
-        self._flush(everything=everything)
 
-    def close(self) -> None:
-        """Write what waits, if it can be written, and let go of the store."""
-        with suppress(StoreError):
-            self._flush(everything=True)
-        self.store.close()
-
-    def _flush(self, *, everything: bool) -> None:
         def turn_job(page: Page) -> None:
             page.record_waiting()
             self._raise_marks(page.turn)
 
-        if self._refusals.end_windows(self.last_ms(), everything=everything):
-            self._in_turn(turn_job)
+        if self.refusals.end_windows(self.last_ms(), everything=everything):
+            self._in_turn(turn_job, essential=everything)
+        return True
+
+    def close(self) -> None:
+        """Write what waits, if it can be written, and let go of the store."""
+        with suppress(StoreError):
+            self.flush(everything=True)
+        self.store.close()
 
     def _raise_marks(self, turn: Turn) -> None:
         """Commit the time and the snapshot of acts that only refused: neither comes again."""
@@ -306,9 +326,9 @@ class Ledger:
                 self._standings[mid] = (act.order, standing)
         for entry, fold, seq in act.refused:
             if seq is None:
-                self._refusals.take(entry, fold)
+                self.refusals.take(entry, fold)
             else:
-                self._refusals.recorded(fold)
+                self.refusals.recorded(fold)
 
     def _open(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         held = turn.get("clock", "high")
@@ -335,6 +355,7 @@ class Ledger:
             )
         elif turn.get("log", "place") != _place(genesis):
             self._move(turn, genesis, inputs)
+        self.fence = turn.head()[0]  # nobody knows what the robot did while no gate ran
 
     def _move(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         """Record that the gate has another site or profile now: later decisions are made on it."""
@@ -402,7 +423,10 @@ class Act:
         return known[1]
 
     def hold(self, standing: Standing) -> None:
-        """Hold a mission's new standing."""
+        """Hold a mission's new standing, and since when it is suspended."""
+        was, status = self.standing(standing.mid), standing.status
+        if status is Status.SUSPENDED and (was is None or was.status is not status):
+            self.put("suspended", standing.mid, str(self.now.utc_ms).encode("ascii"))
         held = encode_fast(standing)
         self.put("standing", standing.mid, held)
         self._decoded[standing.mid] = (held, standing)
@@ -493,7 +517,7 @@ class Act:
 
 def stop_stands(turn: Turn | Act) -> bool:
     """True while an operator's stop stands, whatever is active."""
-    return turn.get(STOP[0], STOP[1]) == STOP[2]
+    return bool(turn.get(*STOP))
 
 
 def read_held(data: bytes, kind: type[T], what: str) -> T:

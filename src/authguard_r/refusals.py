@@ -17,7 +17,7 @@ from typing import Protocol
 
 from msgspec import Struct, structs
 
-from authguard_r.audit.record import Entry, append
+from authguard_r.audit.record import Entry, append, ends_motion
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.ports import Turn
@@ -152,9 +152,20 @@ class Refusals:
         self._number = 0
         self._looked_ms: int | None = None
         self._has_room = True
+        self._is_last = False
+
+    @property
+    def only_counts(self) -> bool:
+        """True while what is refused is counted and not recorded, for want of room."""
+        return self._unwritten is not None
 
     def may_write(self) -> bool:
-        """True while refusals may be written; asks the disk at most once a second."""
+        """True while refusals may be written; asks the disk at most once a second.
+
+        The last flush before a clean end writes in any case: nothing comes after it.
+        """
+        if self._is_last:
+            return True
         mono_ms = self._mono_ms()
         if self._looked_ms is None or mono_ms - self._looked_ms >= _LOOK_MS:
             self._looked_ms = mono_ms
@@ -203,6 +214,7 @@ class Refusals:
             time_ms: for the records of what was counted.
             everything: end every window, over or not: the gate stops.
         """
+        self._is_last = everything
         if not self.may_write():
             return False
         mono_ms = self._mono_ms()
@@ -286,6 +298,7 @@ class Page:
         salts: returns that many fresh random bytes.
         marks: what every record says in its open part.
         sealer: seals fields of what is written; None: nobody does.
+        fence: told the log's size after a record that ends a motion, before it is committed.
     """
 
     def __init__(
@@ -295,8 +308,11 @@ class Page:
         salts: Callable[[int], bytes],
         marks: dict[str, str],
         sealer: LogSealer | None,
+        *,
+        fence: Callable[[int], None],
     ) -> None:
         self.turn = turn
+        self._fence = fence
         self._sealer = sealer
         self._marks = marks
         self._refusals = refusals
@@ -334,8 +350,12 @@ class Page:
         if self._marks:
             entry = structs.replace(entry, open={**entry.open, **self._marks})
         if self._sealer is not None:
-            return self._sealer.append(self.turn, entry, salts=self.salts)
-        return append(self.turn, entry, salts=self.salts(16 * len(entry.sealed)))
+            seq = self._sealer.append(self.turn, entry, salts=self.salts)
+        else:
+            seq = append(self.turn, entry, salts=self.salts(16 * len(entry.sealed)))
+        if ends_motion(entry.kind, entry.decision):
+            self._fence(seq + 1)
+        return seq
 
 
 def _user(fold: Fold) -> str:

@@ -93,7 +93,8 @@ class Report(Struct, frozen=True, kw_only=True):
         reasons: why a released action was not begun or was aborted.
         influences: inputs that mentioned what the action carries.
         seq: number of the decision's record, None when none could be written.
-        outcome_recorded: False when the store failed after the robot had moved; the release
+        outcome_recorded: False of a refusal that is at most counted, for want of room; and
+            when the store failed after the robot had moved; the release
             then stays open until it is resolved.
     """
 
@@ -193,7 +194,17 @@ def decision_entry(
 
 
 def _arrived(state: AttestedState) -> dict[str, object]:
-    return {"snapshot": Raw(state.data), "arrived_mono_ms": state.arrived_mono_ms}
+    arrived = {"snapshot": Raw(state.data), "arrived_mono_ms": state.arrived_mono_ms}
+    return {**arrived, "fence": state.fence}
+
+
+def behind_of(state: AttestedState | None) -> set[str]:
+    """Return the variables, and `pose`, whose values are from before the robot's last motion."""
+    if state is None:
+        return set()
+    pose, readings = state.snapshot.pose, state.snapshot.readings
+    behind = {str(name) for name, value in readings.items() if value.fence < state.fence}
+    return behind | ({"pose"} if pose is not None and pose.fence < state.fence else set())
 
 
 def outcome_entry(

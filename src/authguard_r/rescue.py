@@ -222,6 +222,7 @@ class Rescue:
             self.log.write(step, journal=True)
         except AuthGuardError:
             written = False
+        self._ledger.raise_fence()  # the log may hear of it later only
         return Rescued(
             call=call, ticket=ticket, outcome=outcome, reasons=findings, recorded=written
         )
@@ -259,7 +260,7 @@ class Rescue:
     def _state(self) -> AttestedState | None:
         """Return the newest attested state; what cannot be taken in now leaves the last."""
         quietly(self._intake.refresh)
-        return self._intake.state
+        return self._intake.newest
 
     def _lacks(self, asked: frozenset[Missing]) -> frozenset[Missing]:
         """Return what is missing; that the store is, shows when it is written to."""

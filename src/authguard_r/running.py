@@ -97,7 +97,8 @@ class Watch:
     def look(self, lease: Lease) -> Findings:
         """Ask the lease's conditions on new state; not being able to ask is a reason to stop."""
         try:
-            state, now = self._intake.refresh(), self._ledger.now()
+            self._intake.refresh()
+            state, now = self._intake.newest, self._ledger.now()
             standing = self._ledger.standing(lease.mid)
             found = still(lease, state, facts=self._facts, now=now, standing=standing)
             if not found and self._intake.kept(lease.digest) is None:
@@ -140,6 +141,8 @@ class Watch:
             return seq
 
         recorded = quietly(lambda: self._ledger.run(job, essential=True)) is not None
+        if not recorded:
+            self._ledger.raise_fence()  # it ended all the same
         return msgspec.structs.replace(ended, outcome_recorded=recorded)
 
     def _current(self, act: Act, standing: Standing, judged: Judged) -> Mission | None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from functools import partial
 from typing import Any
 
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.lifecycle import Event, Status
 from authguard_r.core.standing import advance, count_planner_stop
 from authguard_r.intake import Intake
-from authguard_r.ledger import STOP, Act, Ledger, stop_stands
+from authguard_r.ledger import STOP, Act, Ledger
 from authguard_r.report import alert_entry, stop_entry, suspension_entry
 from authguard_r.running import quietly
 
@@ -73,8 +74,11 @@ class Stopping:
             counted = quietly(lambda: self._ledger.run(self._count_stop))
         if counted is not _Count.OVER:
             # that it stands needs no right clock, as its record does not
-            held = STOP if suspends else None
-            quietly(lambda: self._ledger.note(entry, essential=not is_planner, held=held))
+            at_ms = str(self._ledger.latest().utc_ms).encode("ascii")
+            held = (*STOP, at_ms) if suspends else None
+            note = partial(self._ledger.note, entry, essential=not is_planner, held=held)
+            if quietly(note) is None:
+                self._ledger.raise_fence()
         else:
             quietly(lambda: self._ledger.refuse(entry, fold=(by, _OVER, "stop")))
         self._owed = self._owed or suspends
@@ -94,8 +98,7 @@ class Stopping:
     @staticmethod
     def _suspend(act: Act) -> bool:
         """Let the stop stand and suspend the active mission, if one is; True: it is done."""
-        if not stop_stands(act):
-            act.put(*STOP)
+        act.put(*STOP, str(act.now.utc_ms).encode("ascii"))
         mid = act.active()
         standing = act.standing(mid) if mid is not None else None
         if standing is None:

@@ -35,6 +35,8 @@ def unfit(value: Json | None, max_age_ms: int, state: Json | None, facts: Json, 
         return "STATE_MISSING"
     if value.get("label") != "trusted_sensor":
         return "STATE_UNTRUSTED"
+    if value.get("fence", 0) < state.get("fence", 0):
+        return "STATE_BEFORE_MOTION"
     age = value.get("age_ms", 0) + now["mono_ms"] - state["arrived_mono_ms"]
     if not 0 <= age <= max_age_ms:
         return "STATE_STALE"

@@ -139,6 +139,7 @@ def settle(standing: Json, mission: Json, *, ticket: str, outcome: str, used: Js
         use["last_success"] = after["order"]
     if outcome == "not_started" and not _is_irreversible(mission, entry["grant"]):
         use["starts"] = use.get("starts", 0) - 1
+        after["actions"] = after.get("actions", 0) - 1
     return _without_defaults(after)
 
 

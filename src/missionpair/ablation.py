@@ -50,7 +50,7 @@ def _holds(*_: Any, **__: Any) -> None:
 #: What the lease asks again, just before the robot moves and while it does, and which check first
 #: asked it: a condition that is gone is gone from both.
 _ASKED_AGAIN: dict[str, frozenset[str]] = {
-    "_time": frozenset({"check_time"}),
+    "time_findings": frozenset({"check_time"}),
     "registry_findings": frozenset({"check_registry"}),
     "place_findings": frozenset({"check_place"}),
     "guard_finding": frozenset({"check_mission_guards", "check_grant_guards"}),

@@ -207,6 +207,7 @@ def order(bench: Bench, scene: Scene, verb: Verb, *, by: str = "operator-1") -> 
         mission=digest_of(Tag.MISSION, scene.mission),
         nonce=b64(f"{verb}-{scene.sim.robot.elapsed_ms}".encode()),
         expires_ms=scene.sim.robot.wall_ms() + 60_000,
+        issued_ms=scene.sim.robot.wall_ms(),
     )
     signed = sign_object(command, Tag.COMMAND, folder_signer(bench.folder, by))
     scene.sim.gate.management.command(signed)
@@ -222,6 +223,7 @@ def choose(bench: Bench, scene: Scene, grant: str, row: int, *, by: str = "opera
         row=row,
         nonce=b64(f"{grant}-{row}-{scene.sim.robot.elapsed_ms}".encode()),
         expires_ms=scene.sim.robot.wall_ms() + 60_000,
+        issued_ms=scene.sim.robot.wall_ms(),
     )
     signed = sign_object(selection, Tag.SELECTION, folder_signer(bench.folder, by))
     scene.sim.gate.management.select(signed)

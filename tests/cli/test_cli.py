@@ -382,9 +382,9 @@ def test_wrong_places_and_things_on_the_command_line_are_usage(shell: Shell, tok
 
 def test_orders_change_authority_on_a_store(shell: Shell, token: str) -> None:
     on = ["--trust", "trust", "--site", "h/site.yaml", "--store", "r.db"]
-    code, active = shell.json("mission", "activate", token, *on)
+    code, active = shell.json("mission", "activate", token, *on, "--new")
     assert (code, active["status"]) == (0, "active")
-    assert shell("mission", "activate", token, *on)[0] == 1
+    assert shell("mission", "activate", token, *on, "--new")[0] == 1
     assert shell.json("mission", "suspend", token, *on)[1]["status"] == "suspended"
     assert shell.json("mission", "resume", token, *on)[1]["status"] == "active"
     assert (

@@ -39,7 +39,7 @@ STORE = "S" * 43
 def counted(shell: Shell, token: str) -> str:
     """A mission that is active in a store that was counted; no gate runs."""
     Path("other").mkdir()
-    assert shell("mission", "activate", token, *ON, *COUNTER)[0] == 0
+    assert shell("mission", "activate", token, *ON, "--new", *COUNTER)[0] == 0
     assert Path("other/counter").is_file()
     return token
 
@@ -56,7 +56,7 @@ def log() -> list[tuple[str, str]]:
     "words",
     [
         ("mission", "suspend", "m.token", *ON),
-        ("mission", "activate", "m.token", *ON),
+        ("mission", "activate", "m.token", *ON, "--new"),
         ("mission", "choose", "m.token", *ON, "--grant", "pick", "--row", "0", "--yes"),
         ("mission", "resolve", "m.token", *ON, "--ticket", "T" * 43, "--outcome", "aborted"),
         ("stop", *ON),
@@ -218,7 +218,7 @@ def test_learning_from_a_store_that_a_gate_holds_names_its_socket(shell: Shell) 
 
 
 def test_learning_asks_the_gate_that_holds_the_store(shell: Shell, token: str) -> None:
-    assert shell("mission", "activate", token, *ON)[0] == 0
+    assert shell("mission", "activate", token, *ON, "--new")[0] == 0
     rows = list(read_rows(Path("r.db")))
     Path("r.db").unlink()
     with listening(telling(rows)) as path:

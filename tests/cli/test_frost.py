@@ -491,5 +491,7 @@ def test_a_store_that_is_not_there_is_said_and_not_made(desk: Desk) -> None:
     Path("approval.token").write_bytes(b"{}")
     where = ("--store", "mistyped.db", "--trust", "trust", *SITE)
     for words in (("ballot", "1", "--out", "b.json"), ("submit", "approval.token")):
-        assert "STORE_UNAVAILABLE: no store" in desk.refused("frost", *words, *where, code=5)
+        assert "STORE_UNAVAILABLE: no gate answers and no store is there" in desk.refused(
+            "frost", *words, *where, code=5
+        )
         assert not Path("mistyped.db").exists()

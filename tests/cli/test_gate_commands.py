@@ -460,8 +460,8 @@ def test_only_a_denied_role_is_tried_again_as_another(shell: Shell) -> None:
 
 
 def test_stop_with_a_store_records_there_and_reaches_no_gate(shell: Shell, token: str) -> None:
-    assert shell("mission", "activate", token, *ON)[0] == 0
-    assert shell.json("stop", *ON) == (0, {"stopped": True})
+    assert shell("mission", "activate", token, *ON, "--new")[0] == 0
+    assert shell.json("stop", *ON) == (0, {"stopped": True, "by_gate": False})
     records = shell.json("audit", "show", "r.db")[1]["records"]
     assert [r["kind"] for r in records][-2:] == ["stop", "management"]
     assert shell("stop", "--store", "r.db")[0] == 2
@@ -551,13 +551,13 @@ def test_the_log_of_a_gate_that_runs_is_told_by_it(shell: Shell, token: str, rol
         assert "signed-terminal" in shell("audit", "verify", "r.db", *held)[1]
     assert told[0] == from_file[0]
     # the file holds a checkpoint that nobody's key was named for; a gate tells records alone
-    assert told[1] == {**from_file[1], "told_by": 4711, "not_verified": []}
+    assert told[1] == {**from_file[1], "told_by": 4711, "not_verified": [], "held_to": []}
     assert told[2] == from_file[2]
     assert "told by the gate that runs (process 4711)" in text
 
 
 def test_a_gate_that_tells_another_log_is_not_whole(shell: Shell, token: str) -> None:
-    assert shell("mission", "activate", token, *ON)[0] == 0
+    assert shell("mission", "activate", token, *ON, "--new")[0] == 0
     rows = list(read_rows(Path("r.db")))
     with listening(telling([rows[0], rows[0]])) as path:
         beside(path)
@@ -721,7 +721,7 @@ def test_an_order_goes_to_the_gate_that_holds_the_store(shell: Shell, token: str
     seen: list[Any] = []
     with listening(serving({Kind.ORDER: {"standing": standing()}}, seen)) as path:
         beside(path)
-        code, answer = shell.json("mission", "activate", token, *ON)
+        code, answer = shell.json("mission", "activate", token, *ON, "--new")
         assert (code, answer["status"]) == (0, "active")
         assert shell("mission", "suspend", token, *ON)[0] == 0
         chosen = ("--grant", "pick", "--row", 0, "--yes")
@@ -738,7 +738,7 @@ def test_an_order_goes_to_the_gate_that_holds_the_store(shell: Shell, token: str
 def test_an_order_that_the_gate_refuses_is_not_tried_on_the_store(shell: Shell, token: str) -> None:
     with listening(serving({Kind.ORDER: "EXPIRED"})) as path:
         beside(path)
-        assert shell.refused("mission", "activate", token, *ON)[:2] == (1, "EXPIRED")
+        assert shell.refused("mission", "activate", token, *ON, "--new")[:2] == (1, "EXPIRED")
     assert not Path("r.db").exists()
 
 
@@ -752,21 +752,21 @@ def test_no_order_goes_to_a_gate_that_cannot_prove_whose_it_is(shell: Shell, tok
 
     with listening(liar) as path:
         beside(path)
-        assert shell.refused("mission", "activate", token, *ON)[:2] == (4, "ROLE_DENIED")
+        assert shell.refused("mission", "activate", token, *ON, "--new")[:2] == (4, "ROLE_DENIED")
     assert asked == []
     assert not Path("r.db").exists()
 
 
 def test_where_the_gate_went_away_the_order_is_done_on_the_store(shell: Shell, token: str) -> None:
     beside(Path("gone.sock"))
-    assert shell.json("mission", "activate", token, *ON)[1]["status"] == "active"
+    assert shell.json("mission", "activate", token, *ON, "--new")[1]["status"] == "active"
 
 
 def test_a_held_store_names_the_gate_s_socket(shell: Shell, token: str) -> None:
     beside(Path("gone.sock"))
     held = open_store(Path("r.db"))
     try:
-        code, reason, message = shell.refused("mission", "activate", token, *ON)
+        code, reason, message = shell.refused("mission", "activate", token, *ON, "--new")
     finally:
         held.close()
     assert (code, reason) == (5, "STORE_UNAVAILABLE")
@@ -777,11 +777,11 @@ def test_a_held_store_names_the_gate_s_socket(shell: Shell, token: str) -> None:
 @pytest.mark.parametrize("said", ["", "{", '{"socket": 1}', "\xff"])
 def test_a_damaged_note_beside_the_store_is_said(shell: Shell, token: str, said: str) -> None:
     Path("r.db.gate").write_text(said, encoding="latin-1")
-    code, reason, _ = shell.refused("mission", "activate", token, *ON)
+    code, reason, _ = shell.refused("mission", "activate", token, *ON, "--new")
     assert (code, reason) == (4, "MALFORMED")
 
 
 def test_an_answer_that_is_no_standing_is_malformed(shell: Shell, token: str) -> None:
     with listening(serving({Kind.ORDER: {"standing": {"mid": 3}}})) as path:
         beside(path)
-        assert shell.refused("mission", "activate", token, *ON)[:2] == (4, "MALFORMED")
+        assert shell.refused("mission", "activate", token, *ON, "--new")[:2] == (4, "MALFORMED")

@@ -264,7 +264,7 @@ def test_a_mission_is_signed_and_ordered_about_with_a_sealed_key(
     assert not Path("m.token").exists()
     assert shell(*sign, *PASS)[0] == 0
     on = ["--trust", "trust", *SITE, "--store", "r.db"]
-    assert shell("mission", "activate", "m.token", *on)[0] == 0
+    assert shell("mission", "activate", "m.token", *on, "--new")[0] == 0
     named = ["--key", KEY, "--cert", CERT]
     assert shell("mission", "suspend", "m.token", *on, *named)[0] == 4
     code, said = shell.json("mission", "suspend", "m.token", *on, *named, *PASS)
@@ -365,7 +365,7 @@ def test_a_mission_signed_in_hardware_moves_the_robot_of_a_gate(
         code, out = shell(*sign, *pin)
         assert (code, token.pin not in out) == (0, True), out
         on = ["--trust", gate.trust, *SITE, "--store", gate.store, "--robot", gate.rid]
-        code, said = shell.json("mission", "activate", "m.token", *on)
+        code, said = shell.json("mission", "activate", "m.token", *on, "--new")
         assert (code, said["status"]) == (0, "active")
         told = gate.client(ClientRole.PLANNER, "llm").propose(COLLECT)
         assert [step["outcome"] for step in told["steps"]] == ["accept", "accept"]

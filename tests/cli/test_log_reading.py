@@ -104,7 +104,7 @@ def test_a_timeline_says_who_what_from_where_to_where_and_how_it_ended(log: Log)
 def test_the_shape_of_a_shown_log_is_what_it_was(log: Log) -> None:
     _, told = log.json("show")
     record = told["records"][WENT]
-    assert set(record) == {"seq", "link", "kind", "open", "committed", "values"}
+    assert set(record) == {"seq", "link", "kind", "open", "committed", "values", "verdict"}
     assert record["values"]["action"]["destination"] == "pharmacy"
     assert log.json("show", "--kind", "nothing") == (0, {"records": []})
     assert log("show", "--kind", "nothing") == (0, "no records\n")

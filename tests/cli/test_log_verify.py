@@ -149,6 +149,7 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(desk: Desk) -> None:
     said = Terminal(log=ROBOT, size=5, head=Digest(b64(ROWS[4].link)), time_ms=AT * 1_000)
     Path("terminal").write_bytes(sign_object(said, Tag.CHECKPOINT, desk.signer))
     key, at = ("--key", desk.key), ("--checkpoint", kept)
+    claimed = f"a checkpoint in its file, signed by no key that was named, of {SIZE} records"
     plain, quorum = f"a checkpoint of {SIZE} records", ("--witness", witness.text())
     cosigned_too = f"a checkpoint, cosigned by enough witnesses, of {SIZE} records"
     digest = "a signed terminal digest of 5 records"
@@ -156,7 +157,8 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(desk: Desk) -> None:
     both = ("--trust", "trust", "--checkpoint", "terminal", *at)
     changed = [*ROWS[:2], edited(ROWS[2], open={}), *ROWS[3:]]
     cases = (
-        (desk.note, (), [], ["nothing outside of it"]),
+        (None, (), [], ["nothing outside of it"]),
+        (desk.note, (), [["claimed", SIZE]], [claimed]),
         (desk.note, key, [checkpoint], [plain]),
         (None, (*key, *at), [checkpoint], [plain]),
         (None, (*key, *at, *quorum), [vouched], [cosigned_too]),

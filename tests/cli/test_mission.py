@@ -314,7 +314,7 @@ def test_a_script_without_the_site_is_warned_and_the_confirmation_claims_no_card
     warning, answer = text.split("WARNING")[1], json.loads(text.partition("\n")[0])
     assert "no card was shown" in warning
     assert (answer["confirmation"]["card"], answer["confirmation"]["shown"]) == (None, False)
-    assert shell("mission", "activate", "m.token", *AT)[0] == 0
+    assert shell("mission", "activate", "m.token", *AT, "--new")[0] == 0
 
 
 def test_without_the_site_a_way_home_that_nothing_holds_back_still_stops_it(shell: Shell) -> None:
@@ -451,7 +451,7 @@ def test_an_activation_takes_the_confirmation_into_the_log(shell: Shell) -> None
     compiled(shell)
     assert sign(shell, *SITE, "--yes")[0] == 0
     said = ["--confirmation", "m.confirmation.json"]
-    assert shell("mission", "activate", "m.token", *AT, *said)[0] == 0
+    assert shell("mission", "activate", "m.token", *AT, "--new", *said)[0] == 0
     record = activation(shell)
     assert set(record["committed"]) == {"confirmation", "token"}
     assert record["values"]["confirmation"] == json.loads(Path("m.confirmation.json").read_text())
@@ -466,7 +466,7 @@ def activation(shell: Shell) -> Any:
 def test_the_confirmation_beside_the_token_is_taken_unasked(shell: Shell) -> None:
     compiled(shell)
     assert sign(shell, *SITE, "--yes")[0] == 0
-    code, text = shell("mission", "activate", "m.token", *AT)
+    code, text = shell("mission", "activate", "m.token", *AT, "--new")
     assert (code, "WARNING" in text) == (0, False)
     said = json.loads(Path("m.confirmation.json").read_text())
     assert activation(shell)["values"]["confirmation"] == said
@@ -477,7 +477,7 @@ def test_an_activation_without_a_confirmation_warns_and_the_record_says_so(shell
     compiled(shell)
     assert sign(shell, *SITE, "--yes")[0] == 0
     Path("m.confirmation.json").unlink()
-    code, text = shell("mission", "activate", "m.token", *AT)
+    code, text = shell("mission", "activate", "m.token", *AT, "--new")
     assert (code, "WARNING no confirmation lies beside the token" in text) == (0, True)
     assert activation(shell)["values"]["confirmation"] == "none"
     assert "version 1, no confirmation" in shell("audit", "show", "r.db")[1]
@@ -493,9 +493,9 @@ def test_the_confirmation_of_another_mission_beside_the_token_activates_nothing(
     assert sign(shell, *SITE, "--yes")[0] == 0
     own = Path("m.confirmation.json").rename("own.json")
     Path("m.confirmation.json").write_bytes(old)
-    code, error = shell.json("mission", "activate", "m.token", *AT)
+    code, error = shell.json("mission", "activate", "m.token", *AT, "--new")
     assert (code, error["error"]["code"]) == (1, "META_MISMATCH")
-    assert shell("mission", "activate", "m.token", *AT, "--confirmation", str(own))[0] == 0
+    assert shell("mission", "activate", "m.token", *AT, "--new", "--confirmation", str(own))[0] == 0
 
 
 def test_a_confirmation_of_something_else_activates_nothing(shell: Shell) -> None:
@@ -504,13 +504,19 @@ def test_a_confirmation_of_something_else_activates_nothing(shell: Shell) -> Non
     shutil.copy("m.confirmation.json", "old.json")
     compiled(shell)  # the same draft once more: a fresh nonce, another mission
     assert sign(shell, *SITE, "--yes")[0] == 0
-    code, error = shell.json("mission", "activate", "m.token", *AT, "--confirmation", "old.json")
+    code, error = shell.json(
+        "mission", "activate", "m.token", *AT, "--new", "--confirmation", "old.json"
+    )
     assert (code, error["error"]["code"]) == (1, "META_MISMATCH")
     Path("junk.json").write_text("{}")
-    assert shell("mission", "activate", "m.token", *AT, "--confirmation", "junk.json")[0] == 4
-    assert shell("mission", "activate", "m.token", *AT, "--confirmation", "none.json")[0] == 5
+    assert (
+        shell("mission", "activate", "m.token", *AT, "--new", "--confirmation", "junk.json")[0] == 4
+    )
+    assert (
+        shell("mission", "activate", "m.token", *AT, "--new", "--confirmation", "none.json")[0] == 5
+    )
     assert shell("mission", "suspend", "m.token", *AT)[0] == 1  # no such mission is here
-    assert shell("mission", "activate", "m.token", *AT)[0] == 0
+    assert shell("mission", "activate", "m.token", *AT, "--new")[0] == 0
 
 
 def test_a_disk_that_fails_while_signing_leaves_what_was_there(
@@ -536,7 +542,9 @@ def test_a_disk_that_fails_while_signing_leaves_what_was_there(
         # the confirmation is written first: alone it is of no token, and says so by its digest
         assert (Path("m.confirmation.json").read_bytes() == before[1]) is (failing == 1)
     assert (
-        shell("mission", "activate", "m.token", *AT, "--confirmation", "m.confirmation.json")[0]
+        shell(
+            "mission", "activate", "m.token", *AT, "--new", "--confirmation", "m.confirmation.json"
+        )[0]
         == 1
     )
 
@@ -576,7 +584,7 @@ def choice(shell: Shell) -> list[str]:
     """Activate a mission whose operator picks the way, and return the command that picks."""
     compiled(shell, CHOICE)
     assert sign(shell, *SITE, "--yes")[0] == 0
-    assert shell("mission", "activate", "m.token", *AT)[0] == 0
+    assert shell("mission", "activate", "m.token", *AT, "--new")[0] == 0
     return ["mission", "choose", "m.token", *AT, "--grant", "go-to-pharmacy", "--row"]
 
 
@@ -637,12 +645,12 @@ def test_an_unsigned_change_is_refused_and_the_same_change_signed_is_accepted(
     v2 = ["mission", "compile", "h/mission-v2.yaml", *SITE, "--supersedes", "m.token"]
     assert shell(*v2, "--out", "m2.json")[0] == 0
     # compiled is not signed: the file is no token
-    assert shell("mission", "activate", "m2.json", *AT)[0] == 4
+    assert shell("mission", "activate", "m2.json", *AT, "--new")[0] == 4
     code, text = shell("run", "--token", "m.token", *RUN, *deliver, *there)
     assert (code, "DESTINATION_OUT_OF_SCOPE" in text) == (1, True)
     signed = shell("mission", "sign", "m2.json", *KEY, *SITE, "--out", "m2.token", "--yes")
     assert signed[0] == 0
-    assert shell("mission", "activate", "m2.token", *AT)[0] == 0
+    assert shell("mission", "activate", "m2.token", *AT, "--new")[0] == 0
     code, ran = shell.json("run", "--token", "m2.token", *RUN, *deliver, *there)
     assert code == 0, ran
     assert ran["robot"] == {"region": "station-103", "holding": None}

@@ -19,6 +19,7 @@ from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]
 AT = ["--trust", "trust", *SITE, "--store", "r.db"]
+ALONE = "no gate answered: this is in the store r.db alone\n"
 KEY = ["--key", "trust/keys/operator-1.key.pem", "--cert", "trust/keys/operator-1.cert.pem"]
 SCHEDULER = ["--key", "trust/keys/scheduler-1.key.pem", "--cert", "trust/keys/scheduler-1.cert.pem"]
 FILL = ["--fill", "package=package-p1", "--fill", "station=station-101"]
@@ -76,7 +77,7 @@ def signed(shell: Shell) -> str:
 
 def admitted(shell: Shell) -> str:
     token = signed(shell)
-    assert shell("mission", "template", "admit", token, *AT)[0] == 0
+    assert shell("mission", "template", "admit", token, *AT, "--new")[0] == 0
     return token
 
 
@@ -92,9 +93,9 @@ def test_one_signature_and_two_missions_make_half_a_prompt_each(shell: Shell) ->
     for name in ("a", "b"):
         instance = filled(shell, token, name)
         code, out = shell("mission", "activate", instance, *AT)
-        assert (code, out) == (0, f"deliver.{name} version 1: active\n")
+        assert (code, out) == (0, f"deliver.{name} version 1: active\n{ALONE}")
         ended = shell("mission", "complete", instance, *AT, "--template", token)
-        assert ended == (0, f"deliver.{name} version 1: completed\n")
+        assert ended == (0, f"deliver.{name} version 1: completed\n{ALONE}")
     code, found = shell.json("audit", "prompts", "r.db")
     assert (code, found) == (
         0,
@@ -213,7 +214,7 @@ def test_a_file_that_is_no_template_is_said_to_be_none(
         ["template", "review", "x.json", *SITE],
         ["template", "sign", "x.json", *KEY, "--yes"],
         ["template", "issue", "x.json", "--trust", "trust"],
-        ["template", "admit", "x.json", *AT],
+        ["template", "admit", "x.json", *AT, "--new"],
         ["template", "withdraw", "x.json", *AT],
         ["instance", "sign", "x.json", *KEY],
     ):
@@ -308,7 +309,7 @@ def test_orders_about_an_instance_need_its_template(shell: Shell) -> None:
 
 def test_an_instance_before_its_template_is_refused(shell: Shell) -> None:
     token = signed(shell)
-    code, out = shell("mission", "activate", filled(shell, token, "a"), *AT)
+    code, out = shell("mission", "activate", filled(shell, token, "a"), *AT, "--new")
     assert (code, out.startswith("MISSION_UNKNOWN")) == (1, True)
 
 
@@ -322,7 +323,7 @@ def test_a_withdrawn_template_says_so(shell: Shell) -> None:
     code, found = shell.json("mission", "template", "withdraw", token, *AT, *key)
     assert (code, found["status"], found["template"]["used"]) == (0, "withdrawn", 1)
     assert shell("mission", "template", "withdraw", token, *AT)[0] == 1
-    assert shell("mission", "template", "admit", token, *AT)[0] == 1
+    assert shell("mission", "template", "admit", token, *AT, "--new")[0] == 1
     code, out = shell("mission", "activate", filled(shell, token, "b"), *AT)
     assert (code, out.startswith("REVOKED")) == (1, True)
     code, out = shell("audit", "show", "r.db", "--kind", "management")
@@ -333,7 +334,7 @@ def test_a_withdrawn_template_says_so(shell: Shell) -> None:
 def test_without_a_confirmation_the_log_will_say_so(shell: Shell) -> None:
     token = signed(shell)
     Path("t.confirmation.json").unlink()
-    code, out = shell("mission", "template", "admit", token, *AT)
+    code, out = shell("mission", "template", "admit", token, *AT, "--new")
     assert (code, "WARNING no confirmation" in out) == (0, True)
     code, out = shell("mission", "activate", filled(shell, token, "a"), *AT)
     assert (code, "WARNING" in out) == (0, False)

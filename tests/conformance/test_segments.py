@@ -288,8 +288,8 @@ def test_a_damaged_cell_in_a_segment_is_a_fault_of_the_store(rotated: Path) -> N
         "CREATE TABLE audit (seq INTEGER PRIMARY KEY, record, sealed, link); "
         "INSERT INTO audit SELECT * FROM old; UPDATE audit SET sealed = 7 WHERE seq = 20",
     )
-    with pytest.raises(StoreError, match=r"is damaged: .*expected bytes"):
-        list(read_rows(rotated))
+    with pytest.raises(StoreError, match=r"is damaged: .*the file is no store"):
+        list(read_rows(rotated))  # whoever may have made it
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from authguard_r.assembly import Simulation
-from authguard_r.audit.boxes import BOX, DataClass
+from authguard_r.audit.boxes import DataClass
+from authguard_r.audit.record import BOX
 from authguard_r.cli import call
 from authguard_r.commands import Verb
 from authguard_r.store.moving import Mover

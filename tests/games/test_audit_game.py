@@ -24,9 +24,8 @@ import msgspec
 import pytest
 
 from authguard_r.assembly import sign_terminal
-from authguard_r.audit.boxes import BOX, WRAP
 from authguard_r.audit.note import NoteKey
-from authguard_r.audit.record import Sealed, Terminal, read_record, read_sealed
+from authguard_r.audit.record import BOX, WRAP, Sealed, Terminal, read_record, read_sealed
 from authguard_r.audit.verify import Row, Verification, of_checkpoint, verify_rows
 from authguard_r.cli.exported import note_line, row_line
 from authguard_r.cli.log_reading import reading

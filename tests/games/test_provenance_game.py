@@ -153,6 +153,7 @@ def choice(verified: VerifiedMission, field: str, row: int, *, by: str) -> bytes
         row=row,
         nonce=b64(bytes(16)),
         expires_ms=scenarios.START_MS + 3_600_000,
+        issued_ms=scenarios.START_MS,
     )
     return sign_object(value, Tag.SELECTION, scenarios.folder_signer(scenarios.trust_folder(), by))
 

@@ -50,6 +50,7 @@ def command(verb: Verb, nonce: str, *, by: str = "operator-1") -> bytes:
         mission=digest_of(Tag.MISSION, mission),
         nonce=b64(nonce.encode()),
         expires_ms=scenarios.START_MS + 600_000,
+        issued_ms=scenarios.START_MS + ord(nonce[0]),  # one after the other, by their letters
     )
     return sign_object(value, Tag.COMMAND, scenarios.folder_signer(scenarios.trust_folder(), by))
 
@@ -222,6 +223,7 @@ class Replayer:
             row=row,
             nonce=b64(b"choice" + bytes([row])),
             expires_ms=self.here.robot.wall_ms() + 600_000,
+            issued_ms=self.here.robot.wall_ms() + 1 + len(self.kept),
         )
         self.first("selection", sign_object(value, Tag.SELECTION, signer("operator-1")))
 
@@ -244,7 +246,8 @@ class Replayer:
                 except AuthGuardError as error:
                     reason = str(error.reason)
             self.reasons.add(reason)
-            if not reason or self._everything() != before:
+            # to suspend what is suspended is taken in, and changes nothing
+            if not (reason or what == "command") or self._everything() != before:
                 through.append(what)
         return through
 
@@ -256,11 +259,11 @@ class Replayer:
         """Hand an old snapshot in for the newest; the one that the gate has stays."""
         intake, robot = self.here.gate.enforcer.intake, self.here.robot
         intake.refresh()
-        held, own = intake.state, robot._token
+        held, own = intake.newest, robot._token
         robot._token = token
         try:
             intake.refresh()
-            same = token == intake._held and intake.state is held
+            same = token == intake._held and intake.newest is held
             return "STATE_REPLAYED" if same or self._stale(intake, held) else ""
         finally:
             robot._token = own
@@ -269,7 +272,7 @@ class Replayer:
     @staticmethod
     def _stale(intake: Any, held: Any) -> bool:
         fault = intake.fault
-        return intake.state is held and fault is not None and fault.reason == "STATE_REPLAYED"
+        return intake.newest is held and fault is not None and fault.reason == "STATE_REPLAYED"
 
     def _keys_again(self) -> list[str]:
         """Ask with every key again: the same answer, nothing decided; another plan is refused."""
@@ -432,9 +435,10 @@ def test_a_store_that_was_put_back_brings_nothing_back(step: str) -> None:
 
 
 def no_nonces() -> Any:
-    real = Act.get
+    """Forget what was carried out, and when the newest order was signed: either stops a replay."""
+    real, gone = Act.get, {"command", "order", "suspended"}
     return patch.object(
-        Act, "get", lambda self, kind, key: None if kind == "command" else real(self, kind, key)
+        Act, "get", lambda self, kind, key: None if kind in gone else real(self, kind, key)
     )
 
 

@@ -256,6 +256,7 @@ def choice(folder: Path, mission: Mission, grant: str, by: str) -> bytes:
         row=0,
         nonce=b64(by.encode()),
         expires_ms=LATER,
+        issued_ms=scenarios.START_MS,
     )
     return sign(folder, value, Tag.SELECTION, by)
 

@@ -68,6 +68,7 @@ def command(sim: Simulation, folder: Path, standing: Standing, verb: Verb, **mor
         mission=standing.digest,
         nonce=b64(os.urandom(16)),
         expires_ms=sim.robot.wall_ms() + 60_000,
+        issued_ms=sim.robot.wall_ms() + 1,
         **more,
     )
     signed = sign_object(made, Tag.COMMAND, folder_signer(folder, "operator-1"))

@@ -101,7 +101,8 @@ def test_a_granted_twist_reaches_the_robot_and_no_hijack_does(
     told = done.stdout.splitlines()
     assert lines(arrived) == [SLOW]
     assert told[0] == "Message published successfully"
-    assert told[1:] == [
+    # state of after the first motion may be on its way when the next call is refused
+    assert [line.replace(", STATE_BEFORE_MOTION", "") for line in told[1:]] == [
         "refused: PARAMETER_OUT_OF_BOUNDS",
         "refused: STATE_WRITING_REFUSED",
         f"refused: {SCOPE}, APPROVAL_REQUIRED",

@@ -47,6 +47,7 @@ def order(verb: Verb, nonce: str, **changes: Any) -> bytes:
         "mission": digest_of(Tag.MISSION, mission),
         "nonce": b64(nonce.encode()),
         "expires_ms": scenarios.START_MS + 3_600_000,
+        "issued_ms": scenarios.START_MS,
     }
     value = Command(**{**fields, **changes})
     return sign_object(value, Tag.COMMAND, scenarios.folder_signer(scenarios.trust_folder(), by))
@@ -182,10 +183,11 @@ def test_a_snapshot_that_is_not_the_estimators_is_recorded_and_not_taken_in(kind
     sim = ready()
     sim.robot.pause(100)
     sim.gate.enforcer.intake.refresh()
-    before = sim.gate.enforcer.intake.state
+    before = sim.gate.enforcer.intake.newest
     data, reason = bad_states(sim)[kind]
     sim.robot.latest = lambda: data
-    assert sim.gate.enforcer.intake.refresh() is before
+    sim.gate.enforcer.intake.refresh()
+    assert sim.gate.enforcer.intake.newest is before
     assert [r.open["reasons"] for r in records(sim, "intake")] == [[reason]]
     sim.robot.pause(5_000)
     report = scenarios.propose(sim, GO)
@@ -325,7 +327,12 @@ def test_an_outcome_that_cannot_be_recorded_leaves_the_release_open(tmp_path: Pa
     assert sim.gate.management.standing("deliver-p1").status == "suspended"
     settle = order(Verb.RESOLVE, "r", ticket=tickets[0], outcome=Outcome.SUCCEEDED)
     assert sim.gate.management.command(settle).uses["go-to-pharmacy"].successes == 1
-    assert sim.gate.management.command(order(Verb.RESUME, "s")).status == "active"
+    assert (
+        sim.gate.management.command(
+            order(Verb.RESUME, "s", issued_ms=sim.robot.wall_ms() + 1)
+        ).status
+        == "active"
+    )
     assert sim.gate.management.recover() == ()
 
 
@@ -465,7 +472,7 @@ def test_a_command_that_does_not_fit_changes_nothing(changes: dict[str, Any], re
 def test_an_order_that_the_life_cycle_does_not_know_is_refused() -> None:
     sim = ready()
     with pytest.raises(AuthGuardError, match="TRANSITION_REFUSED"):
-        sim.gate.management.command(order(Verb.RESUME, "r"))
+        sim.gate.management.command(order(Verb.RESUME, "r", issued_ms=sim.robot.wall_ms() + 1))
 
 
 @pytest.mark.parametrize(
@@ -491,6 +498,7 @@ def test_a_selection_that_does_not_fit_changes_nothing(
         "row": 0,
         "nonce": "AA",
         "expires_ms": scenarios.START_MS + 10**6,
+        "issued_ms": scenarios.START_MS,
     }
     value = Selection(**{**fields, **changes})
     token = sign_object(value, Tag.SELECTION, scenarios.folder_signer(scenarios.trust_folder(), by))
@@ -586,9 +594,11 @@ def test_a_safety_officer_may_suspend_a_mission_and_not_resume_it() -> None:
     sim.gate.management.activate(scenarios.token())
     sim.gate.management.command(order(Verb.SUSPEND, "1", by="safety-officer-1"))
     with pytest.raises(AuthGuardError, match="may not resume"):
-        sim.gate.management.command(order(Verb.RESUME, "2", by="safety-officer-1"))
+        sim.gate.management.command(
+            order(Verb.RESUME, "2", issued_ms=sim.robot.wall_ms() + 1, by="safety-officer-1")
+        )
     assert sim.gate.management.standing("deliver-p1").status == "suspended"
-    sim.gate.management.command(order(Verb.RESUME, "3"))
+    sim.gate.management.command(order(Verb.RESUME, "3", issued_ms=sim.robot.wall_ms() + 1))
     assert sim.gate.management.standing("deliver-p1").status == "active"
 
 
@@ -598,7 +608,7 @@ def test_an_operators_stop_suspends_until_a_signed_resume() -> None:
     report = scenarios.propose(sim, GO)
     assert [str(r) for r in report.judged.decision.reasons] == ["MISSION_SUSPENDED"]
     assert records(sim, "management")[-1].link.decision == "suspend"
-    sim.gate.management.command(order(Verb.RESUME, "go-on"))
+    sim.gate.management.command(order(Verb.RESUME, "go-on", issued_ms=sim.robot.wall_ms() + 1))
     assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     idle = scenarios.simulation()
     idle.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
@@ -620,7 +630,9 @@ def test_a_mission_is_not_resumed_while_nobody_knows_what_happened() -> None:
     sim.gate.ledger.store.run = run
     sim.gate.management.recover()
     with pytest.raises(AuthGuardError, match="TRANSITION_REFUSED"):
-        sim.gate.management.command(order(Verb.RESUME, "too-soon"))
+        sim.gate.management.command(
+            order(Verb.RESUME, "too-soon", issued_ms=sim.robot.wall_ms() + 1)
+        )
 
 
 def test_a_gate_that_starts_recovers_before_its_first_decision(tmp_path: Path) -> None:
@@ -677,6 +689,7 @@ def test_a_choice_is_taken_in_once() -> None:
         row=0,
         nonce="AA",
         expires_ms=scenarios.START_MS + 10**6,
+        issued_ms=scenarios.START_MS,
     )
     signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")
     token = sign_object(value, Tag.SELECTION, signer)
@@ -709,7 +722,7 @@ def test_an_approver_who_was_revoked_since_does_not_count(bench: Any) -> None:
 def test_an_old_snapshot_is_not_new_after_a_restart(tmp_path: Path) -> None:
     sim = ready(store=tmp_path / "robot.db")
     scenarios.propose(sim, GO)
-    old = sim.robot.latest()
+    old = sim.gate.enforcer.intake._held
     sim.gate.close()
     again = scenarios.simulation(store=tmp_path / "robot.db", start_ms=scenarios.START_MS + 300_000)
     again.robot.latest = lambda: old
@@ -770,7 +783,10 @@ def test_the_last_success_may_come_by_a_signed_word() -> None:
     said = order(Verb.RESOLVE, "a", mission=mission, ticket=ticket, outcome=Outcome.SUCCEEDED)
     assert sim.gate.management.command(said).status == "suspended"
     assert (
-        sim.gate.management.command(order(Verb.RESUME, "b", mission=mission)).status == "completed"
+        sim.gate.management.command(
+            order(Verb.RESUME, "b", issued_ms=sim.robot.wall_ms() + 1, mission=mission)
+        ).status
+        == "completed"
     )
 
 

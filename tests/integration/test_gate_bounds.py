@@ -36,6 +36,7 @@ from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import Outcome
+from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.gate.service import LOOK_S
 from authguard_r.keys.setup import init_folder
@@ -254,7 +255,9 @@ class OwnEstimator:
         seen = Sensors(self._gate.run / "sensors.sock")
         with self._gate.client(ClientRole.ESTIMATOR, "own") as client:
             while not self._over.is_set():
-                snapshot, seq = seen.next(), seq + 1
+                fence = client.fence
+                seen.next()  # it may have been measured before the fence came
+                snapshot, seq = fenced(seen.next(), fence), seq + 1
                 if not self._lost.is_set() or last is None:
                     last = snapshot.pose
                 elif last is not None:
@@ -264,6 +267,14 @@ class OwnEstimator:
                 client.attest(sign_object(signed, Tag.STATE, signer))
                 self._ready.set()
         seen.close()
+
+
+def fenced(snapshot: Snapshot, fence: int) -> Snapshot:
+    """Return a snapshot whose values were all measured after a fence."""
+    replace = msgspec.structs.replace
+    readings = {name: replace(value, fence=fence) for name, value in snapshot.readings.items()}
+    pose = None if snapshot.pose is None else replace(snapshot.pose, fence=fence)
+    return replace(snapshot, pose=pose, readings=readings)
 
 
 # what the gate sees, and by when

@@ -142,10 +142,14 @@ def propose(gate: RunningGate, plan: bytes) -> dict[str, Any]:
 
 
 def reasons(gate: RunningGate, plan: bytes) -> list[str]:
-    """Return why a plan is refused; nothing of it is released."""
-    step = propose(gate, plan)
-    assert (step["outcome"], step["released"]) == ("reject", False)
-    return list(step["reasons"])
+    """Return why a plan is refused, once there is state of now; nothing of it is released."""
+
+    def refused() -> dict[str, Any] | None:
+        step = propose(gate, plan)
+        assert (step["outcome"], step["released"]) == ("reject", False)
+        return None if "STATE_BEFORE_MOTION" in step["reasons"] else step
+
+    return list(until(refused, "a refusal on state of now")["reasons"])
 
 
 def what_if(gate: RunningGate, plan: bytes) -> list[str]:

@@ -8,6 +8,7 @@ here is measured in time.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -140,6 +141,10 @@ def mission(gate: RunningGate) -> tuple[Mission, Digest]:
     return mission, Digest(gate.activate(gate.token(mission))["digest"])
 
 
+#: Each choice is signed after the one before, however fast they are signed.
+_later = itertools.count(time.time_ns() // 1_000_000)
+
+
 def chosen(gate: RunningGate, mission: Mission, digest: Digest) -> Order:
     """Return an operator's order, signed, that is carried out each time and stops nothing."""
     value = Selection(
@@ -150,6 +155,7 @@ def chosen(gate: RunningGate, mission: Mission, digest: Digest) -> Order:
         row=0,
         nonce=b64(scenarios.random_bytes(16)),
         expires_ms=time.time_ns() // 1_000_000 + 600_000,
+        issued_ms=next(_later),
     )
     signer = folder_signer(gate.trust, "operator-1")
     return Order(act=Act.SELECT, token=sign_object(value, Tag.SELECTION, signer))
@@ -165,6 +171,8 @@ def test_between_a_request_and_its_answer_a_flooder_has_a_turn_or_two(
     gate: RunningGate, mission: tuple[Mission, Digest], plans: list[bytes]
 ) -> None:
     orders = [chosen(gate, *mission) for _ in range(2)]
+    with gate.client(ClientRole.OPERATOR, "asks") as person:  # its step waits for no newer state
+        until(lambda: person.evaluate(SCAN)["steps"][0]["outcome"] == "accept", "state of now")
     with (
         shown(gate),
         flooding(gate, plans) as flooders,

@@ -101,10 +101,10 @@ UNASKED: dict[str, dict[str, Any]] = {
 class Served:
     """A courier's server that all tests reach over HTTP, and the file in which its calls are."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *faults: str) -> None:
         self.calls_file = folder / "calls.jsonl"
         self.process = subprocess.Popen(
-            [sys.executable, str(SERVER), str(self.calls_file), "http"],
+            [sys.executable, str(SERVER), str(self.calls_file), "http", *faults],
             stdout=subprocess.PIPE,
             text=True,
         )
@@ -185,7 +185,7 @@ class House:
         return load_binding(binding_source(str(self.gate.binding)), site=site, where="binding")
 
     def raw(
-        self, requests: list[tuple[str, dict[str, Any]]], *server: str, errors: Any = None
+        self, requests: list[tuple[str, Any]], *server: str, errors: Any = None
     ) -> list[dict[str, Any]]:
         """Return the answer to each request, sent as the bytes that it is, one after the other.
 
@@ -200,8 +200,9 @@ class House:
             assert process.stdin is not None
             assert process.stdout is not None
             for number, (method, params) in enumerate(requests):
-                asked = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
-                process.stdin.write(json.dumps(asked).encode() + b"\n")
+                text = params if isinstance(params, str) else json.dumps(params)
+                head = f'{{"jsonrpc":"2.0","id":{number},"method":"{method}"'
+                process.stdin.write(f'{head},"params":{text}}}\n'.encode())
                 process.stdin.flush()
                 answer = {}
                 while answer.get("id") != number or "method" in answer:
@@ -323,6 +324,54 @@ def test_l1_nothing_that_a_server_says_by_itself_reaches_the_planner(house: Hous
     back = [json.loads(line) for line in errors.read_text().splitlines() if '"jsonrpc"' in line]
     assert {line["id"] for line in back} == set(asking)
     assert all("error" in line for line in back)
+
+
+#: Calls whose last of two equal keys is granted, or that are no JSON in another way.
+UNREADABLE = (
+    '{"name":"navigate_to","arguments":{"destination":"Isolation Room","destination":"Pharmacy"}}',
+    '{"name":"open_every_door","name":"navigate_to","arguments":{"destination":"Pharmacy"}}',
+    '{"name":"navigate_to","arguments":{},"arguments":{"destination":"Pharmacy"}}',
+    '{"name":"navigate_to","arguments":{"destination":"Pharmacy","speed":NaN}}',
+)
+
+
+def require_unread(house: House, answers: list[dict[str, Any]]) -> None:
+    """Require that each call was refused, and logged, and reached no tool."""
+    told = [answer["result"]["structuredContent"]["authguard-r"] for answer in answers]
+    assert [(one["outcome"], one["reasons"]) for one in told] == [("reject", ["MALFORMED"])] * 4
+    assert house.calls() == []
+
+    def logged() -> bool:
+        return len(house.gate.refusals("MALFORMED")) > 0
+
+    until(logged, "the record")
+
+
+@pytest.mark.smoke
+def test_a_call_with_a_key_twice_is_refused_and_logged_over_a_pipe(house: House) -> None:
+    asked = [("initialize", HELLO), *(("tools/call", text) for text in UNREADABLE)]
+    _, *answers = house.raw(asked)
+    require_unread(house, answers)
+
+
+def test_a_call_with_a_key_twice_is_refused_and_logged_over_http(house: House) -> None:
+    with over_http(house) as (url, token), httpx2.Client(timeout=PATIENCE_S) as client:
+        accept = "application/json, text/event-stream"
+        shown = {"authorization": f"Bearer {token}", "accept": accept}
+        until(lambda: answers(url), "the port")
+        hello = {"jsonrpc": "2.0", "id": 0, "method": "initialize", "params": HELLO}
+        session = client.post(url, json=hello, headers=shown).headers["mcp-session-id"]
+        shown |= {"mcp-session-id": session, "content-type": "application/json"}
+        client.post(
+            url, json={"jsonrpc": "2.0", "method": "notifications/initialized"}, headers=shown
+        )
+        found = []
+        for number, text in enumerate(UNREADABLE, 1):
+            body = f'{{"jsonrpc":"2.0","id":{number},"method":"tools/call","params":{text}}}'
+            answer = client.post(url, content=body.encode(), headers=shown).text
+            (line,) = [part for part in answer.splitlines() if part.startswith("data: {")]
+            found.append(json.loads(line.removeprefix("data: ")))
+    require_unread(house, found)
 
 
 @pytest.mark.smoke
@@ -537,6 +586,24 @@ def test_without_such_calls_nobody_says_that_the_robot_stands(house: House) -> N
     assert told["execution"] == "unknown"
     assert house.gate.client(ClientRole.OPERATOR).status()["mission"]["status"] == "suspended"
     confirm_stop(house.gate)
+
+
+def test_a_stop_during_a_call_over_http_has_a_session_of_its_own(
+    shared: SharedGate, tmp_path: Path
+) -> None:
+    served = Served(tmp_path, "hangs")
+    try:
+        with shared.one_test() as gate:
+            gate.activate()
+            house = House(gate, tmp_path, shared.name, served)
+            halt = (Call("say", {"text": "halt"}, "stop"),)
+            told = stopped_in_flight(house, stops=halt, server=(served.url,))
+    finally:
+        served.end()
+    assert told["stop"]["stopped"]
+    assert told["execution"] == "aborted"
+    assert [call["tool"] for call in house.calls()] == ["navigate_to", "say"]
+    confirm_stop(gate)
 
 
 def test_a_gateway_that_ends_in_mid_motion_stops_the_robot(house: House) -> None:

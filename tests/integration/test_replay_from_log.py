@@ -38,6 +38,7 @@ from authguard_r.cli.replay import Replay, replayed
 from authguard_r.core.approval import Verdict
 from authguard_r.core.chain import link
 from authguard_r.core.encoding import Tag, b64, encode_fast
+from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.keys.revoking import revoke
 from authguard_r.keys.setup import init_folder
@@ -346,6 +347,24 @@ def test_a_shadow_run_is_decided_alike_again(
     assert told["agree"] == told["decisions"] >= 2
 
 
+def test_a_log_in_which_nobody_knows_how_an_action_ended_is_decided_alike_again() -> None:
+    sim = scenarios.simulation()
+    sim.gate.management.activate(scenarios.token())
+    begun = sim.robot.dispatch
+
+    def lost(*given: Any) -> Any:
+        flight = begun(*given)
+        flight.outcome = lambda: Outcome.UNKNOWN
+        return flight
+
+    sim.robot.dispatch = lost  # type: ignore[method-assign]
+    assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome == "unknown"
+    refused = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
+    assert refused.judged.decision.reasons[0] == "MISSION_SUSPENDED"
+    found = again(rows_of(sim), scenarios.trust_folder())
+    assert (found.agree, found.differ, found.unchecked) == (2, 0, 0)
+
+
 def test_an_emergency_is_no_missions_decision_and_is_counted() -> None:
     store = MemoryStore()
     for decision in ("accept", "succeeded"):
@@ -390,8 +409,10 @@ def test_a_verdict_that_was_changed_and_chained_anew_is_found(
     store = written(tmp_path / "forged.db", forged(rows, at, turned))
     assert call(["audit", "verify", str(store)]) == 0  # the chain holds
     code, told = asked(capsys, store, "--trust", scenarios.trust_folder())
-    assert (code, told["agree"], told["differ"]) == (1, 5, 1)
-    (found,) = told["differences"]
+    after = len(kinds(rows, "decision")) - kinds(rows, "decision").index(at) - 1
+    assert (code, told["agree"], told["differ"]) == (1, 5 - after, 1 + after)
+    found, *later = told["differences"]
+    assert all("`t` was released before it" in one["why"] for one in later)
     assert (found["seq"], found["kind"], found["why"]) == (at, "decision", "")
     assert found["recorded"] == {"verdict": "accept", "reasons": [], "released": True}
     assert found["recomputed"]["verdict"] == "reject"
@@ -408,7 +429,9 @@ def test_a_release_in_spite_of_a_refusal_is_found() -> None:
 
     rows = list(walked())
     log = forged(rows, verbs(rows, "reject")[0], released)
-    assert again(log, scenarios.trust_folder()).differ == 1
+    at, decisions = verbs(rows, "reject")[0], kinds(rows, "decision")
+    # and every standing after it lacks what it would have released
+    assert again(log, scenarios.trust_folder()).differ == len(decisions) - decisions.index(at)
 
 
 @pytest.mark.parametrize("name", ["action", "state", "now", "approvals", "standing"])
@@ -473,7 +496,7 @@ def test_a_decision_under_a_mission_that_no_record_made_active_is_found() -> Non
     rows = list(walked())
     at = verbs(rows, "activate")[0]
     found = again(chained([*rows[:at], *rows[at + 1 :]]), scenarios.trust_folder())
-    assert (found.differ, found.agree) == (6, 0)
+    assert (found.differ, found.agree) == (6 + len(kinds(rows, "outcome")), 0)
 
 
 @pytest.mark.parametrize(
@@ -533,11 +556,16 @@ def test_a_destroyed_value_is_not_replayable_and_counted(
     log = destroyed(destroyed(rows, last, name), first, name)
     store = written(tmp_path / "shredded.db", log)
     code, told = asked(capsys, store, "--trust", scenarios.trust_folder())
-    assert (code, told["agree"], told["differ"], told["not_replayable"]) == (0, 4, 0, 2)
+    assert (code, told["agree"], told["differ"], told["not_replayable"]) == (1, 4, 0, 2)
+    assert [(one["name"], one["count"], one["first"]) for one in told["missing"]] == [
+        (name, 2, first)
+    ]
     why = {"why": f"sealed values are gone: {name}", "count": 2, "first": first, "last": last}
     assert told["why"] == [why]
-    assert call(["audit", "replay", str(store)]) == 0
-    assert f"not replayable 2 (record {first} to {last}): sealed" in capsys.readouterr().out
+    assert call(["audit", "replay", str(store)]) == 1
+    text = capsys.readouterr().out
+    assert f"not replayable 2 (record {first} to {last}): sealed" in text
+    assert f"MISSING: 2 x `{name}` of mission deliver-p1, first at record {first}" in text
 
 
 def test_words_that_no_decision_needs_may_be_gone() -> None:

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from authguard_r.audit.boxes import BOX, WRAP, DataClass
+from authguard_r.audit.boxes import DataClass
+from authguard_r.audit.record import BOX, WRAP
 from authguard_r.audit.verify import Row
 from authguard_r.cli.logs import open_log
 from authguard_r.cli.replay import Replay

@@ -54,6 +54,7 @@ def choice(signed: Mission, row: int = 1, *, by: str = "operator-1", **changes: 
         "row": row,
         "nonce": b64(f"{by}-{row}".encode()),
         "expires_ms": FAR,
+        "issued_ms": scenarios.START_MS,
     }
     value = Selection(**{**fields, **changes})
     return sign_object(value, Tag.SELECTION, scenarios.folder_signer(scenarios.trust_folder(), by))
@@ -114,10 +115,12 @@ def test_each_row_can_be_the_one() -> None:
 def test_the_last_choice_counts_and_an_old_one_cannot_come_again() -> None:
     signed = mission()
     sim = gate(signed)
-    first, second = choice(signed, 0), choice(signed, 1)
+    first = choice(signed, 0)
+    second = choice(signed, 1, issued_ms=scenarios.START_MS + 1)
     sim.gate.management.select(first)
     sim.gate.management.select(second)
     refused(sim, first, "EXPIRED")
+    refused(sim, choice(signed, 0, nonce="BBBB", issued_ms=scenarios.START_MS + 1), "ORDER_TOO_OLD")
     assert sim.gate.management.standing("deliver-p1").selected == {"go-to-pharmacy": 1}
     assert reasons(sim, FIRST) == ["DESTINATION_OUT_OF_SCOPE"]
 
@@ -287,7 +290,7 @@ def test_a_choice_ends_with_its_version() -> None:
     for action in (FIRST, OTHER):
         assert reasons(sim, action) == ["PROVENANCE_DENIED"]
     refused(sim, choice(signed, nonce="BBBB"), "MISSION_UNKNOWN")
-    sim.gate.management.select(choice(update, nonce="CCCC"))
+    sim.gate.management.select(choice(update, nonce="CCCC", issued_ms=scenarios.START_MS + 1))
     assert scenarios.propose(sim, OTHER).outcome is Outcome.SUCCEEDED
 
 

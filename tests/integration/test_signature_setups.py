@@ -116,6 +116,7 @@ def command(verb: Verb, mission: Mission, **changes: Any) -> Command:
         "mission": digest_of(Tag.MISSION, mission),
         "nonce": b64(verb.encode()),
         "expires_ms": LATER,
+        "issued_ms": scenarios.START_MS,
     }
     return Command(**{**fields, **changes})
 
@@ -129,6 +130,7 @@ def selection(mission: Mission) -> Selection:
         row=0,
         nonce=NONCE,
         expires_ms=LATER,
+        issued_ms=scenarios.START_MS,
     )
 
 

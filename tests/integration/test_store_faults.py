@@ -124,6 +124,7 @@ def command(sim: Simulation, verb: Verb, **more: Any) -> Standing:
         mission=standing.digest,
         nonce=b64(os.urandom(16)),
         expires_ms=sim.robot.wall_ms() + 60_000,
+        issued_ms=sim.robot.wall_ms() + 1,
         **more,
     )
     signer = folder_signer(scenarios.trust_folder(), "operator-1")

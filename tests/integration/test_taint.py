@@ -171,11 +171,13 @@ def test_the_estimator_s_signature_updates_attested_state() -> None:
 @pytest.mark.parametrize("by", ["operator-1", "supervisor-1", "gate-courier-1"])
 def test_nobody_else_s_signature_updates_state(by: str) -> None:
     sim = ready()
-    before = sim.gate.enforcer.intake.refresh()
+    sim.gate.enforcer.intake.refresh()
+    before = sim.gate.enforcer.intake.newest
     forged = snapshot_of(scenarios.world("office-1"), robot=scenarios.RID, epoch=9, seq=9)
     signer = scenarios.folder_signer(scenarios.trust_folder(), by)
     sim.robot.latest = lambda: sign_object(forged, Tag.STATE, signer)
-    assert sim.gate.enforcer.intake.refresh() is before
+    sim.gate.enforcer.intake.refresh()
+    assert sim.gate.enforcer.intake.newest is before
 
 
 def test_the_estimator_signs_no_mission_and_its_words_are_no_state() -> None:

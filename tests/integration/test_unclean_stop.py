@@ -30,7 +30,7 @@ def order(verb: Verb, **changes: Any) -> bytes:
         version=1,
         mission=digest_of(Tag.MISSION, mission),
         nonce=b64(scenarios.random_bytes(16)),
-        expires_ms=scenarios.START_MS + 10**8,
+        expires_ms=scenarios.START_MS + 10**7,
         **changes,
     )
     return sign_object(
@@ -96,7 +96,10 @@ def test_after_an_unclean_stop_the_mission_waits_for_a_signed_resume() -> None:
     report = scenarios.propose(sim, GO)
     assert report.judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
     assert sim.robot.trace == []
-    assert sim.gate.management.command(order(Verb.RESUME)).status == "active"
+    assert (
+        sim.gate.management.command(order(Verb.RESUME, issued_ms=sim.robot.wall_ms() + 1)).status
+        == "active"
+    )
     assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
 
 

@@ -93,10 +93,13 @@ def battery(sim: Any, reading: Reading | None) -> None:
 
     def latest() -> bytes:
         count[0] += 1
-        plain: Snapshot = snapshot_of(robot.state, robot=robot.rid, epoch=1, seq=count[0])
+        fence = robot.newest_fence  # what is measured now is from after the last motion
+        plain: Snapshot = snapshot_of(
+            robot.state, robot=robot.rid, epoch=1, seq=count[0], fence=fence, pose_fence=fence
+        )
         readings = {k: v for k, v in plain.readings.items() if k != "battery_permille"}
         if reading is not None:
-            readings["battery_permille"] = reading
+            readings["battery_permille"] = SET(reading, fence=fence)
         return sign_object(SET(plain, readings=readings), Tag.STATE, estimator)
 
     robot.latest = latest

@@ -242,6 +242,10 @@ def test_l14_what_came_once_does_not_come_again_after_a_crash() -> None:
             old = sign_object(seen, Tag.STATE, signer)
             with pytest.raises(AuthGuardError, match="STATE_REPLAYED"):
                 state.attest(old)  # an epoch of long ago
+        gate.kill9()
+        gate.start_gate()
+        with gate.client(ClientRole.OPERATOR, "waits") as person:
+            until(lambda: person.status()["mission"]["status"] == "suspended", "the recovery")
         resume = Command(
             verb=Verb.RESUME,
             mid=mission.mid,
@@ -249,10 +253,9 @@ def test_l14_what_came_once_does_not_come_again_after_a_crash() -> None:
             mission=Digest(digest),
             nonce=b64(scenarios.random_bytes(16)),
             expires_ms=time.time_ns() // 1_000_000 + 600_000,
+            issued_ms=time.time_ns() // 1_000_000,
         )
         order = sign_object(resume, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
-        gate.kill9()
-        gate.start_gate()
         with gate.client(ClientRole.OPERATOR, "person") as person:
             person.command(order)
             for spent, reason in ((order, Reason.EXPIRED), (token, Reason.TRANSITION_REFUSED)):

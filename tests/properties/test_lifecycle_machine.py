@@ -147,6 +147,34 @@ class Model:
         self.active: str | None = None
         self.answers: dict[tuple[str, int], list[Json]] = {}
         self.spent_nonces: set[bytes] = set()
+        self.stopped_ms = 0  # when an operator stopped the robot, and no resume came since
+        self.halted_ms: dict[str, int] = {}  # when a mission was suspended last
+        self.newest_ms: dict[str, int] = {}  # when the newest order about one was signed
+
+    def hold(self, name: str, standing: Json, now_ms: int) -> None:
+        """Hold a standing, and since when it is suspended."""
+        was = self.registry.get(name, {}).get("status")
+        if standing["status"] == "suspended" != was:
+            self.halted_ms[name] = now_ms
+        self.registry[name] = standing
+
+    def stop(self, now_ms: int) -> None:
+        """Let an operator's stop stand, and suspend what is active."""
+        self.stopped_ms = now_ms
+        if self.active is not None:
+            standing = self.registry[self.active]
+            event = "complete" if standing["status"] == "closing" else "suspend"
+            self.hold(self.active, advanced(standing, event) or standing, now_ms)
+
+    def _in_order(self, verb: str, name: str, more: Json) -> None:
+        """Refuse a resume, or a suspension, that was signed before what it would undo."""
+        if verb not in {"resume", "suspend"}:
+            return
+        over = [self.newest_ms.get(name, 0)]
+        if verb == "resume":
+            over += [self.stopped_ms, self.halted_ms.get(name, 0)]
+        if more["issued_ms"] <= max(over):
+            raise Refused("ORDER_TOO_OLD")
 
     def mission(self, name: str) -> Json:
         """Return the version that the registry has."""
@@ -174,9 +202,11 @@ class Model:
             raise Refused("SUPERSEDED")
         else:
             standing = self._update(known, fresh, offered)
+        if self.stopped_ms or (known is not None and known["status"] == "suspended"):
+            standing = {**standing, "status": "suspended"}
         if held is not None and self.active is not None:
             self.registry[self.active] = held
-        self.registry[name] = standing
+        self.hold(name, standing, now_ms)
         self.active = name
 
     def _lapsed(self, name: str, now_ms: int) -> Json:
@@ -217,17 +247,25 @@ class Model:
         narrows = by == "safety-officer-1" and verb in {"suspend", "revoke"}
         if by != "operator-1" and not narrows:
             raise Refused("ROLE_DENIED")
+        self._in_order(verb, name, more)
         after: Json | None
         if verb == "resolve":
             after = self._resolved(standing, more)
         elif verb == "resume" and standing.get("open"):
             after = None
+        elif verb == "suspend" and standing["status"] == "suspended":
+            after = standing
+            self.halted_ms[name] = max(self.halted_ms[name], more["now_ms"])
         else:
             after = advanced(standing, verb)
         if after is None:
             raise Refused("TRANSITION_REFUSED")
         self.spent_nonces.add(nonce)
-        self.registry[name] = self.finished(after, more["now_ms"])
+        if verb in {"resume", "suspend"}:
+            self.newest_ms[name] = more["issued_ms"]
+        if verb == "resume":
+            self.stopped_ms = 0
+        self.hold(name, self.finished(after, more["now_ms"]), more["now_ms"])
         if self.registry[name]["status"] in FINAL:
             self.active = None
 
@@ -277,7 +315,7 @@ class Model:
                 )
         if standing.get("open") or unclean:
             standing = advanced(standing, "suspend") or standing
-        self.registry[self.active] = self.finished(standing, now["utc_ms"])
+        self.hold(self.active, self.finished(standing, now["utc_ms"]), now["utc_ms"])
 
     # approval.md and standing.md, release
 
@@ -421,8 +459,10 @@ class Life(RuleBasedStateMachine):
         self._order(verb, name, version, by, {})
 
     def _order(self, verb: str, name: str, version: int, by: str, more: Json) -> None:
-        made = self.here.order(mission(name, version), Verb(verb), by, **more)
-        more = {**more, "now_ms": self.now_ms()}
+        issued_ms = self.now_ms() + len(self.old) + 1  # one after the other
+        signed = {**more, "issued_ms": issued_ms}
+        made = self.here.order(mission(name, version), Verb(verb), by, **signed)
+        more = {**signed, "now_ms": self.now_ms()}
         self.old.append((made, (verb, name, version, by, more)))
         self._give(made, verb, name, version, by, more)
 
@@ -630,11 +670,7 @@ class Life(RuleBasedStateMachine):
         self.here.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)  # type: ignore[arg-type]
         if self.running is not None:
             self.it_is_stopped_already()
-        name = self.model.active
-        if name is not None:
-            standing = self.model.registry[name]
-            event = "complete" if standing["status"] == "closing" else "suspend"
-            self.model.registry[name] = advanced(standing, event) or standing
+        self.model.stop(self.now_ms())
 
     def it_is_stopped_already(self) -> None:
         """What was stopped is settled after the suspension; the order makes no difference here."""
@@ -644,7 +680,7 @@ class Life(RuleBasedStateMachine):
         standing = self.model.registry[name]
         if name == self.model.active:
             event = "complete" if standing["status"] == "closing" else "suspend"
-            self.model.registry[name] = advanced(standing, event) or standing
+            self.model.hold(name, advanced(standing, event) or standing, self.now_ms())
         report = self.here.abort(running)
         self._settled(report, plain(running._flight.used()))
 
@@ -681,6 +717,20 @@ def test_an_outcome_of_the_version_before_is_held_to_the_version_in_force() -> N
     life.propose("done", "ends")
     life.both_hold_the_same()
     assert life._status() == "closing"
+
+
+def test_a_mission_that_is_activated_under_an_operators_stop_is_suspended() -> None:
+    life = Life()
+    life.somebody_begins()
+    life.an_operator_stops_the_robot()
+    life.command("complete", "operator-1", stale=False, pick=0)
+    life.activate("two", 1)
+    life.both_hold_the_same()
+    assert life.model.registry["two"]["status"] == "suspended"
+    life.here.jump(50)
+    life.command("resume", "operator-1", stale=False, pick=1)
+    life.both_hold_the_same()
+    assert life.model.registry["two"]["status"] == "active"
 
 
 def revoke(bench: Bench, scene: Scene, name: str) -> None:

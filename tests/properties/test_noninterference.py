@@ -148,13 +148,13 @@ def written(calls: list[tuple[str, dict[str, Any]]], form: str) -> bytes:
 
 def objects(kind: str) -> tuple[Tag, Any]:
     """Return what the adversary would have signed, by the door that it is brought to."""
-    far = scenarios.START_MS + 10**8
+    far = scenarios.START_MS + 10**7
     version = {"mid": SIGNED.mid, "version": 1, "mission": DIGEST}
+    ordered = {**version, "nonce": "AA", "expires_ms": far, "issued_ms": scenarios.START_MS}
     if kind == "activate":
         return Tag.MISSION, widened()
     if kind == "select":
-        made = Selection(grant="go-to-pharmacy", row=1, nonce="AA", expires_ms=far, **version)
-        return Tag.SELECTION, made
+        return Tag.SELECTION, Selection(grant="go-to-pharmacy", row=1, **ordered)
     if kind == "approve":
         made = Approval(
             rid=scenarios.RID,
@@ -168,7 +168,7 @@ def objects(kind: str) -> tuple[Tag, Any]:
         )
         return Tag.APPROVAL, made
     verb = {"suspend": Verb.SUSPEND, "complete": Verb.COMPLETE, "resume": Verb.RESUME}[kind]
-    return Tag.COMMAND, Command(verb=verb, nonce="AA", expires_ms=far, **version)
+    return Tag.COMMAND, Command(verb=verb, **ordered)
 
 
 #: Each forgery with the signers who have no right to it (a supervisor may answer a request).
@@ -351,10 +351,11 @@ class Adversary(RuleBasedStateMachine):
             data = sign_object(snapshot, Tag.STATE, signer)
         elif by:
             data = sign_object(snapshot, Tag.STATE, folder_signer(scenarios.trust_folder(), by))
-        intake, before = self.sim.gate.enforcer.intake, self.sim.gate.enforcer.intake.state
+        intake, before = self.sim.gate.enforcer.intake, self.sim.gate.enforcer.intake.newest
         latest, self.sim.robot.latest = self.sim.robot.latest, lambda: data
         try:
-            assert intake.refresh() is before
+            intake.refresh()
+            assert intake.newest is before
         finally:
             self.sim.robot.latest = latest
 

@@ -25,7 +25,7 @@ from fixtures.traces import Look, Played, Trace, mission
 
 Json = dict[str, Any]
 BATCHES = 2
-TRACES = amount(200, 2_000) // BATCHES
+TRACES = amount(240, 2_000) // BATCHES
 ORDERED = amount(30, 300)
 FACTS = plain_facts(scenarios.facts())
 CONFIG = plain(default_config(scenarios.site(), scenarios.RID))
@@ -38,6 +38,7 @@ HAPPENS = (
     *("authorized, unsafe", "unauthorized, safe", "unauthorized, unsafe"),
     *("aborted: BOUND_EXCEEDED", "aborted: OUTSIDE_REGIONS", "aborted: STATE_STALE"),
     *("aborted: LEASE_ENDED", "aborted: GUARD_FALSE", "aborted: EXPIRED"),
+    *("STATE_BEFORE_MOTION",),
     *("aborted: MISSION_SUSPENDED", "complete", "expired", "SPEED", "FORCE", "KEEP_OUT"),
 )
 
@@ -70,6 +71,7 @@ class Judge:
         decision = self.decide(action, look)
         dangers = oracle.hazards(CONFIG, action, look.state, FACTS, look.now)
         self.seen.update(dangers)
+        self.seen.update({"STATE_BEFORE_MOTION"} & set(decision["reasons"]))
         return decision["reasons"], dangers
 
     def decide(self, action: Json, look: Look) -> Json:
@@ -118,8 +120,7 @@ class Judge:
             return
         world = plain(snapshot_of(executed.before, robot=scenarios.RID, epoch=1, seq=1))
         assert look.state is not None
-        said = look.state["snapshot"]
-        assert (said["pose"], said["readings"]) == (world["pose"], world["readings"])
+        assert _unfenced(look.state["snapshot"]) == _unfenced(world)
         there = {"snapshot": world, "arrived_mono_ms": look.now["mono_ms"]}
         assert self.judge(own, Look(look.now, there, ended=False, suspended=False)) == ([], [])
 
@@ -173,11 +174,18 @@ class Judge:
     def still(self, lease: Json, look: Look) -> list[str]:
         if look.suspended and self.standing["status"] == "active":
             self._becomes("suspend")
-        return oracle.still(lease, look.state, facts=FACTS, now=look.now, standing=self.standing)
+        state = None if look.state is None else {**look.state, "fence": 0}  # ages alone count
+        return oracle.still(lease, state, facts=FACTS, now=look.now, standing=self.standing)
 
     def _becomes(self, event: str) -> None:
         status = self.standing["status"]
         self.standing["status"] = oracle.TRANSITIONS[status].get(event, status)
+
+
+def _unfenced(snapshot: Json) -> tuple[Json, Json]:
+    """Return what was measured, pose and readings, without when."""
+    pose = {**snapshot["pose"], "fence": 0}
+    return pose, {name: {**value, "fence": 0} for name, value in snapshot["readings"].items()}
 
 
 def _tidy(value: Any) -> Any:

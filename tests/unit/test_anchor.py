@@ -114,7 +114,7 @@ def command(
         version=1,
         mission=digest_of(Tag.MISSION, made),
         nonce=b64(scenarios.random_bytes(16)),
-        expires_ms=(at or scenarios.START_MS) + 10**9,
+        expires_ms=(at or scenarios.START_MS) + 10**7,
         issued_ms=issued_ms,
     )
     return sign_object(value, Tag.COMMAND, folder_signer(scenarios.trust_folder(), by))
@@ -481,11 +481,12 @@ def test_work_goes_on_after_a_signed_order_and_a_resume(robot: Robot, by: str) -
     assert scenarios.propose(sim, GO).judged.decision.reasons[0] is Reason.MISSION_SUSPENDED
     accepted = sim.gate.ledger.last_ms()
     for issued_ms in (0, accepted):  # it may be one of the lost part
-        early = command(Verb.RESUME, made, issued_ms=issued_ms)
+        early = command(Verb.RESUME, made, at=accepted, issued_ms=issued_ms)
         with pytest.raises(AuthGuardError, match="sign it anew") as old:
             sim.gate.management.command(early)
         assert (old.value.reason, old.value.where) == (Reason.ROLLED_BACK, "command.issued_ms")
-    sim.gate.management.command(command(Verb.RESUME, made, issued_ms=accepted + 1))
+    late = command(Verb.RESUME, made, at=accepted, issued_ms=accepted + 1)
+    sim.gate.management.command(late)
     assert scenarios.propose(sim, GO).outcome is Outcome.SUCCEEDED
     sim.gate.close()
     assert robot.start().gate.anchor.why is None

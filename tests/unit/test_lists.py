@@ -141,10 +141,10 @@ def test_what_a_revoked_estimator_said_is_believed_no_more(house: House, folder:
 
 
 def test_what_another_estimator_said_stays(house: House, folder: Path) -> None:
-    before = house.gate.enforcer.intake.state
+    before = house.gate.enforcer.intake.newest
     assert before is not None
     bring(house, fresh(folder, "machines"))
-    assert house.gate.enforcer.intake.state is before
+    assert house.gate.enforcer.intake.newest is before
 
 
 def test_a_list_may_come_before_any_state(folder: Path) -> None:

@@ -101,6 +101,7 @@ class Ward:
             "mission": digest_of(Tag.MISSION, self.first),
             "nonce": b64(scenarios.random_bytes(16)),
             "expires_ms": self.house.clock.wall_ms() + MINUTE_MS,
+            "issued_ms": self.house.clock.wall_ms() + 1,
         }
         value = Command(**{**fields, **more})
         return sign_object(value, Tag.COMMAND, folder_signer(self.folder / of, by))
@@ -216,6 +217,7 @@ def test_nothing_lets_a_mission_go_on_by_a_signature_that_does_not_hold(folder: 
             row=0,
             nonce=b64(scenarios.random_bytes(16)),
             expires_ms=ward.house.clock.wall_ms() + MINUTE_MS,
+            issued_ms=ward.house.clock.wall_ms(),
         )
         chosen = sign_object(choice, Tag.SELECTION, folder_signer(folder / "new", "operator-2"))
         assert ward.refused(lambda: ward.management.select(chosen)) == "CERTIFICATE_REVOKED"

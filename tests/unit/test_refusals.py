@@ -866,7 +866,7 @@ def test_an_outcome_on_a_full_disk_leaves_the_refusals_that_waited_behind(full: 
     ledger = full.ledger()
     full.fill_rest(ledger)
     full.clock.pause(-1)  # the disk was asked just now, and still had room
-    ledger._refusals._has_room, ledger._refusals._looked_ms = True, full.clock.ms
+    ledger.refusals._has_room, ledger.refusals._looked_ms = True, full.clock.ms
     for n in range(200):
         refuse(ledger, n, (f"planner-{n}", "r", "f"))
     before = decisions(ledger)

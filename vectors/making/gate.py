@@ -170,18 +170,12 @@ def gate_vector(
 
 def gate_input(case: Case) -> Json:
     """Return the inputs of a decision as plain data; facts only where they differ."""
-    state = None
-    if case.state is not None:
-        state = {
-            "snapshot": plain(case.state.snapshot),
-            "arrived_mono_ms": case.state.arrived_mono_ms,
-        }
     given: Json = {
         "mission": plain(case.mission),
         "digest": digest_of(Tag.MISSION, case.mission),
         "usable_until_ms": case.usable_until_ms,
         "action": plain(case.action),
-        "state": state,
+        "state": decision_cases.plain_state(case.state),
         "now": plain(case.now),
         "standing": None if case.standing is None else plain(case.standing),
         "approvals": [plain(item) for item in case.approvals],

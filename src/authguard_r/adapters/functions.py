@@ -225,7 +225,7 @@ class Functions:
         self._kept[number] = kept
         while len(self._kept) > MAX_KEPT:
             self._kept.popitem(last=False)
-        return Answer(is_error=is_error, structured=fields, told=told)
+        return Answer(is_error=is_error, structured=fields, text="\n".join(texts), told=told)
 
     def take(self, content: bytes) -> Kept:
         """Return what came of a call, once.

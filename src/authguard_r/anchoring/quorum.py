@@ -247,7 +247,7 @@ class Quorum:
         now_ms, limit_ms = self._mono_ms(), self._policy.silence_ms
         if self.confirmed >= self._policy.quorum and not unwitnessed:
             self._since_ms = now_ms
-        late = bool(limit_ms) and now_ms - self._since_ms > limit_ms
+        late = bool(self.named and limit_ms) and now_ms - self._since_ms > limit_ms
         if late is self._silent:
             return None
         self._silent = late

@@ -26,6 +26,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.audit.record import (
+    BOX,
     NONE,
     Beside,
     Entry,
@@ -93,10 +94,8 @@ CLASSES: Final[dict[str, Classes]] = {
     "state": (_E, _O, _R),  # where the robot is, and what it holds
     "why": (_E, _WHO),
     # of no mission: when it was, where the robot lives, what is published, the keys themselves
-    **dict.fromkeys(("now", "site", "policy", "list"), ()),
+    **dict.fromkeys(("now", "site", "safety", "policy", "list"), ()),
 }
-#: In front of the classes of a box, and of one whose key is wrapped.
-BOX, WRAP = "box.", "wrap."
 #: The kind of the record that tells who may have the keys of a mission's boxes.
 SEALING = "sealing"
 _BOX_INFO = b"authguard-r/box/1\0"

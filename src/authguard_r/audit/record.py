@@ -20,6 +20,11 @@ from authguard_r.core.ports import Turn
 
 #: Stands where a record is of no mission, action or state.
 NONE = "-"
+#: In front of the classes of a box of sealed values, and of one whose key is wrapped.
+BOX, WRAP = "box.", "wrap."
+#: How a motion ends (`core.standing.Outcome`), and the orders after which a mission goes on.
+_ENDS = frozenset({"succeeded", "failed", "not_started", "aborted", "unknown"})
+_GOES_ON = frozenset({"activate", "recover", "resolve", "resume"})
 
 
 class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -76,6 +81,17 @@ class Entry(Struct, frozen=True, kw_only=True):
     mid: str = NONE
     action: str = NONE
     state: str = NONE
+
+
+def ends_motion(kind: str, decision: str) -> bool:
+    """True for a record after which no decision rests on state that was measured before it.
+
+    The robot's motion has ended with it, or nobody knows what the robot did until then: after a
+    stop, and before a person says that the mission goes on.
+    """
+    if kind == "management":
+        return decision in _GOES_ON
+    return kind in {"outcome", "stop"} or (kind == "emergency" and decision in _ENDS)
 
 
 def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:

@@ -21,6 +21,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.audit.checkpoint import Checkpoint
+from authguard_r.audit.missing import Gone, Missing, Order
 from authguard_r.audit.record import Sealed, Terminal
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.core.chain import GENESIS
@@ -29,7 +30,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Count, Digest, is_identifier
 
 #: Who says that the log is the one that was written.
-By = Literal["signed-terminal", "checkpoint", "witnessed"]
+By = Literal["claimed", "signed-terminal", "checkpoint", "witnessed"]
 _SEALED = msgspec.json.Decoder(dict[str, Sealed])
 _LINES = msgspec.json.Encoder(order="sorted")
 _AUDIT, _EVIDENCE = Tag.AUDIT.prefix, Tag.EVIDENCE.prefix
@@ -62,7 +63,8 @@ class Anchor(Struct, frozen=True, kw_only=True):
     """What is known of a log from outside of it, its signatures verified.
 
     Args:
-        by: what vouches for it.
+        by: what vouches for it; `claimed`: nothing does, and a log that it does not fit is none
+            that its gate wrote.
         size: number of records that it speaks of.
         head: L_{size-1}; None when it does not say.
         root: of the tree over those links; None when it does not say.
@@ -86,6 +88,7 @@ class Verification(Struct, frozen=True, kw_only=True):
         anchors: everything that was held against the log and fits, the longest last.
         fault: the first thing that is wrong, empty when nothing is.
         where: the record, or the records, that it is wrong at.
+        missing: values that no order in the log has let go.
     """
 
     whole: bool
@@ -96,6 +99,7 @@ class Verification(Struct, frozen=True, kw_only=True):
     anchors: tuple[tuple[str, int], ...] = ()
     fault: str = ""
     where: str = ""
+    missing: tuple[Missing, ...] = ()
 
 
 def of_checkpoint(checkpoint: Checkpoint, *, witnessed: bool = False) -> Anchor:
@@ -124,6 +128,8 @@ class Piece(Struct, frozen=True, kw_only=True):
         link: the last one's.
         subtrees: level and root of each complete subtree that their leaves fall into, in order;
             empty where no root is asked for.
+        missing: values that no order in the piece has let go.
+        orders: orders in the piece to destroy values.
     """
 
     first: int
@@ -131,6 +137,8 @@ class Piece(Struct, frozen=True, kw_only=True):
     size: int
     link: bytes
     subtrees: tuple[tuple[int, bytes], ...] = ()
+    missing: tuple[Missing, ...] = ()
+    orders: tuple[Order, ...] = ()
 
 
 def verify_rows(
@@ -172,6 +180,8 @@ def verify_piece(rows: Sequence[Row], first: int, *, with_tree: bool) -> Piece |
         size=chain.size,
         link=rows[-1].link,
         subtrees=_subtrees(leaves, first),
+        missing=chain.gone.left,
+        orders=chain.gone.orders,
     )
 
 
@@ -202,6 +212,7 @@ class Verifier:
         if self._misfit or not follows or (known is not None and piece.size > known.size):
             return False
         chain.size, chain.head = piece.size, b64(piece.link)
+        chain.gone.join(piece.orders, piece.missing)
         self._misfit = self._against.joined(piece)
         return not self._misfit
 
@@ -233,6 +244,7 @@ class Verifier:
             anchored=against.fitting[-1][0] if against.fitting else "unanchored",
             anchored_size=against.fitting[-1][1] if against.fitting else 0,
             anchors=tuple(against.fitting),
+            missing=chain.gone.left,
         )
 
 
@@ -279,7 +291,8 @@ class _Against:
                 return f"expected the signed head {b64(anchor.head)}: changed and chained anew"
             if anchor.root is not None and anchor.root != self._root():
                 return f"expected the signed root {b64(anchor.root)}: changed and chained anew"
-            self.fitting.append((anchor.by, size))
+            if anchor.by != "claimed":
+                self.fitting.append((anchor.by, size))
         return ""
 
     def since(self, size: int) -> str:
@@ -346,6 +359,7 @@ class _Chain:
     def __init__(self, size: int = 0, head: str = b64(GENESIS)) -> None:
         self.size = size
         self.head = head
+        self.gone = Gone()
         self._named: dict[tuple[str, ...], _Named] = {}
 
     def fault(self, row: Row) -> str:
@@ -380,6 +394,9 @@ class _Chain:
             fault = _uncommitted(committed, dict(zip(named.names, commitments, strict=True)))
             if fault:
                 return fault
+            self.gone.take(seq, link.mid, committed, named.names)
+        if record.kind == "management":
+            self.gone.hear(link.decision, record.open)
         self.size, self.head = seq + 1, head
         return ""
 

@@ -227,7 +227,7 @@ def _mission_lines(mission: Any) -> list[str]:
 
 def _stand_lines(stands: Any) -> list[str]:
     """Return that an operator's stop stands, and what ends it, for people."""
-    what = "AN OPERATOR'S STOP STANDS: until authguard resume, or the next activation"
+    what = "AN OPERATOR'S STOP STANDS: until authguard resume"
     return [what] if stands is True else []
 
 

@@ -137,7 +137,17 @@ def _lines(report: BindingReport) -> list[str]:
     faults = [f"{fault.where}: {fault.message}" for fault in report.faults]
     head = f"{report.binding}: {report.tools} tools, {report.ways} ways; fields: {fields}"
     groups = [f"  {', '.join(places)} meet: {effect}" for effect, places in report.groups.items()]
-    return [*(faults or [head, *groups]), *_compared(report)]
+    return [*(faults or [head, *groups]), *_assumed(report), *_compared(report)]
+
+
+def _assumed(report: BindingReport) -> list[str]:
+    """Return the line that says of which tools nobody asks whether they have done their work."""
+    if not report.assumed:
+        return []
+    places = ", ".join(report.assumed)
+    return [
+        f"warning: any answer that is no error counts as done; say `succeeds` or `fails`: {places}"
+    ]
 
 
 def _compared(report: BindingReport) -> list[str]:

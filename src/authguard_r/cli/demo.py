@@ -173,10 +173,11 @@ def _safety_alone(stage: _Stage, simulation: Simulation, reply: str) -> dict[str
     plan = normalize(read_file(stage.files / "replies" / f"{reply}.json"), binder=simulation.binder)
     gate, now = simulation.gate, simulation.gate.ledger.now()
     verified = gate.ledger.run(gate.enforcer.intake.active_mission)
+    gate.enforcer.intake.refresh()
     judged = evaluate(
         verified,
         plan.steps[0].action,
-        state=gate.enforcer.intake.refresh(),
+        state=gate.enforcer.intake.state,
         facts=gate.facts,
         now=now,
         standing=gate.ledger.standing(verified.mission.mid),

@@ -36,7 +36,7 @@ from authguard_r.cli.sign import trust_folder_of
 from authguard_r.client.questions import shown, the_one
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, decode
-from authguard_r.core.errors import AuthenticityError, EnvironmentFault, RefusedError
+from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.ports import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
@@ -102,12 +102,6 @@ class Place(Struct, frozen=True, kw_only=True):
         """
         if self.store is None or self.trust is None or self.site is None:
             raise typer.BadParameter("a store needs --trust and --site", param_hint="--store")
-        if not self.store.is_file():
-            raise EnvironmentFault(
-                f"no store `{self.store}`",
-                reason=Reason.STORE_UNAVAILABLE,
-                where=str(self.store),
-            )
         kept = Kept(store=self.store, trust=self.trust, site=self.site, robot=self.robot)
         with offline(kept) as gate:
             yield gate

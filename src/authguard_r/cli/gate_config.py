@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from msgspec import Struct, to_builtins
+from msgspec.structs import replace
 
 from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.assembly import folder_signer
@@ -60,6 +61,7 @@ from authguard_r.wire.messages import ClientRole, Mode
 app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
 _SIGNER = "site-authority-1"
 _PLAIN = (
+    "version",
     "connections",
     "refusals",
     "disclosure",
@@ -73,6 +75,7 @@ _BOUNDS = (
     ("estimator_silence", "estimator_silence_ms", "ms"),
     ("renew_within", "renew_within_ms", "ms"),
     ("stand_within", "stand_within_ms", "ms"),
+    ("state_wait", "state_wait_ms", "ms"),
     ("fold", "fold_ms", "ms"),
     ("reserve", "reserve_bytes", "byte"),
     ("checkpoint", "checkpoint_ms", "ms"),
@@ -87,6 +90,7 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         robot: the robot.
+        version: grows with each change; the seconds since 1970 at which it is signed when absent.
         peers: roles by user, each a name or a number on the gate's machine.
         mediators: of them, users of an enforcement point alone; no planner runs as one.
         mode: `enforce` or `shadow`.
@@ -97,6 +101,7 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         estimator_silence: as above.
         renew_within: as above.
         stand_within: as above.
+        state_wait: as above.
         fold: as above.
         reserve: disk kept free.
         checkpoint_records: records after which a checkpoint is made.
@@ -110,6 +115,7 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     robot: RobotId
+    version: int | None = None
     peers: dict[str | int, tuple[ClientRole, ...]]
     mediators: tuple[str | int, ...] = ()
     mode: Mode = Mode.ENFORCE
@@ -120,6 +126,7 @@ class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     estimator_silence: Quantity | None = None
     renew_within: Quantity | None = None
     stand_within: Quantity | None = None
+    state_wait: Quantity | None = None
     fold: Quantity | None = None
     reserve: Quantity | None = None
     checkpoint_records: Positive | None = None
@@ -197,6 +204,8 @@ def sign(
     where = str(file)
     form = convert(read_yaml(read_text(file), where=where), Form, where=where)
     config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
+    if form.version is None:
+        config = replace(config, version=wall_now(None).utc_ms // 1_000)
     require_role(signer, CONFIG_ROLES, trust)
     target = out or file.with_suffix(".token")
     return sign_shown(
@@ -302,7 +311,7 @@ def written(config: GateConfig, form: Form) -> str:
     return (
         f"robot: {config.robot}\nmode: {config.mode}\npeers:\n{peers}"
         f"mediators: [{', '.join(map(str, form.mediators))}]\n"
-        + "".join(f"{name}: {getattr(config, name)}\n" for name in _PLAIN)
+        + "".join(f"{name}: {getattr(config, name)}\n" for name in _PLAIN[1:])
         + bounds
         + "witnesses: []\n"
         + written_readers(config)

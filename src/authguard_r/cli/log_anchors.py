@@ -6,6 +6,8 @@ Spec page: docs/spec/checkpoint.md#verification
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from msgspec import Struct
@@ -17,7 +19,7 @@ from authguard_r.audit.verify import Anchor, of_checkpoint, of_terminal
 from authguard_r.cli.inputs import wall_now
 from authguard_r.cli.log_keys import keys_of
 from authguard_r.core.encoding import Tag
-from authguard_r.core.errors import AuthenticityError, EnvironmentFault
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
@@ -49,7 +51,7 @@ class Known(Struct, frozen=True, kw_only=True):
     """What is known of the log from outside of it.
 
     Args:
-        anchors: what authentic checkpoints say.
+        anchors: what authentic checkpoints say, and what the file's own claim.
         cosigned: the witnesses of the longest one that enough of them have cosigned.
         ignored: why each other checkpoint that lay with the log says nothing.
     """
@@ -92,9 +94,10 @@ def known_of(asked: Asked, embedded: tuple[bytes, ...]) -> Known:
     enough = [item for item in seen if asked.quorum and _count(item) >= asked.quorum]
     longest = max(enough, key=lambda item: item.checkpoint.size, default=None)
     said = [of_checkpoint(item.checkpoint, witnessed=item in enough) for item in seen]
+    claims = () if asked.keys or asked.trust else tuple(_claims(embedded))
     at = len(inside)  # what was kept elsewhere comes last: it is told of
     return Known(
-        anchors=(*said[:at], *map(of_terminal, terminals), *said[at:]),
+        anchors=(*claims, *said[:at], *map(of_terminal, terminals), *said[at:]),
         cosigned=() if longest is None else longest.cosigned,
         ignored=ignored,
     )
@@ -117,6 +120,17 @@ def _embedded(asked: Asked, notes: tuple[bytes, ...]) -> tuple[list[_Seen], tupl
                 raise
             ignored.append(error.message)  # the folder holds no gate's certificate
     return seen, tuple(ignored)
+
+
+def _claims(notes: tuple[bytes, ...]) -> Iterator[Anchor]:
+    """Yield what each note in the log's file says, signed by whomever: the log has to fit it.
+
+    For those who name no key: who cuts a log off may leave its newest checkpoint in the file.
+    """
+    for data in notes:
+        with suppress(MalformedError):  # that says nothing
+            said = read_checkpoint(read_note(data, where="checkpoint").text, where="checkpoint")
+            yield Anchor(by="claimed", size=said.size, head=said.chain, root=said.root)
 
 
 def _require_wanted(asked: Asked, seen: list[_Seen], *, terminals: bool) -> None:

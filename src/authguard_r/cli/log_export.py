@@ -17,8 +17,8 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.audit.boxes import BOX, act_of
-from authguard_r.audit.record import read_record, read_sealed
+from authguard_r.audit.boxes import act_of
+from authguard_r.audit.record import BOX, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.exported import note_line, row_line

@@ -24,7 +24,7 @@ from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.gate.explain import who_of
+from authguard_r.gate.explain import hazards_of, verdict_of, who_of
 
 #: How much of a digest a line shows; `--json` has all of it.
 _SHORT = 12
@@ -65,7 +65,7 @@ class Wanted(Struct, frozen=True, kw_only=True):
 
     def has(self, record: Record, values: dict[str, Any]) -> bool:
         """True for a record that is shown."""
-        reasons = record.open.get("reasons") or ()
+        reasons = (*(record.open.get("reasons") or ()), *hazards_of(record))
         return (
             (self.kind is None or record.kind == self.kind)
             and (not (self.refused or self.would) or bool(reasons))
@@ -128,7 +128,7 @@ class Timeline:
             while len(self._begun) > _OPEN:
                 self._begun.pop(next(iter(self._begun)))
         if wanted:
-            told = {"seq": row.seq, **msgspec.to_builtins(record)}
+            told = {"seq": row.seq, "verdict": verdict_of(record), **msgspec.to_builtins(record)}
             told["values"] = msgspec.to_builtins(values)
             told |= {"closed": closed.plain()} if closed else {}
             text = _line(row.seq, record, values, began)
@@ -235,10 +235,11 @@ def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing, opening: Opening) 
 
 def _line(seq: int, record: Record, values: dict[str, Any], began: tuple[int, str] | None) -> str:
     """Return a record for people; `began` is what an outcome is the end of."""
-    at, reasons = to_timestamp(record.link.time_ms), record.open.get("reasons") or ()
+    at = to_timestamp(record.link.time_ms)
+    reasons = (*(record.open.get("reasons") or ()), *hazards_of(record))
     what = _what(record, values) if began is None else f"{began[1]} (record {began[0]})".strip()
     told = ": ".join(part for part in (what, ", ".join(map(str, reasons))) if part)
-    head = f"{seq:5} {at} {record.kind:11}{record.link.decision:17} {record.link.mid:16} "
+    head = f"{seq:5} {at} {record.kind:11}{verdict_of(record):17} {record.link.mid:16} "
     return f"{head}{who_of(record, values):20} {told}"
 
 

@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
 
+from authguard_r.assembly import gate_name
+from authguard_r.audit.missing import told
 from authguard_r.audit.note import read_key
 from authguard_r.audit.pieces import MOST_JOBS, usable_jobs, verify_in_pieces
-from authguard_r.audit.verify import Anchor, By, Verification
+from authguard_r.audit.record import Record, read_record, read_sealed
+from authguard_r.audit.verify import Anchor, By, Row, Verification
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_anchors import Asked, Known, known_of
@@ -21,12 +25,15 @@ from authguard_r.cli.logs import Log
 from authguard_r.cli.opening import Held, ReaderOption, opening_of
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import to_timestamp
 
 #: Most processes that somebody can ask for.
 _MOST_ASKED = 64
 #: What a log is held to, for people.
 _HELD_TO: dict[By, str] = {
+    "claimed": "a checkpoint in its file, signed by no key that was named,",
     "signed-terminal": "a signed terminal digest",
     "checkpoint": "a checkpoint",
     "witnessed": "a checkpoint, cosigned by enough witnesses,",
@@ -75,7 +82,7 @@ def verify_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say whether the log is whole and how it is anchored; tampered: 1, unreadable: 4.
+    """Say whether the log is whole and how it is anchored; tampered or missing: 1, unreadable: 4.
 
     The first record that is changed, missing, inserted or out of place is named. Only a checkpoint
     that was signed with a key that you name shows that this is the log that was written, as far as
@@ -98,11 +105,47 @@ def verify_command(
         known = known_of(asked, log.notes)
         # beside a gate that drives a robot, nobody takes its processors
         most = 1 if log.gate is not None or held.opens else jobs or usable_jobs()
-        rows = held.rows(log.rows) if held.opens else log.rows
+        whose = _Whose()
+        rows = whose.rows(held.rows(log.rows) if held.opens else log.rows)
         found = held.judged(verify_in_pieces(rows, jobs=most, anchors=known.anchors))
     lines = [*_lines(found, known, log, own=not asked.kept), *held.lines(found)]
-    emit(_payload(found, known, log) | held.plain(), lines, as_json=as_json)
-    return 0 if found.whole else 1
+    lines += whose.lines() if found.whole else ()
+    payload = {**_payload(found, known, log), "log": whose.told}
+    emit(payload | held.plain(), lines, as_json=as_json)
+    return 0 if found.whole and not found.missing else 1
+
+
+class _Whose:
+    """Whose log it is, as its first record says; a checkpoint shows that this is so."""
+
+    def __init__(self) -> None:
+        self.told: dict[str, Any] = {}
+
+    def rows(self, rows: Iterable[Row]) -> Iterator[Row]:
+        """Yield the rows, and note what the first one says."""
+        for row in rows:
+            if row.seq == 0:
+                with suppress(MalformedError):  # then the log is not whole, and says so
+                    self._note(read_record(row.record, where="record 0"), row)
+            yield row
+
+    def lines(self) -> Iterator[str]:
+        """Yield it for people."""
+        if self.told:
+            names = ("robot", "gate", "site", "root")
+            yield "log of " + ", ".join(f"{name} {self.told[name]}" for name in names)
+
+    def _note(self, record: Record, row: Row) -> None:
+        opened, sealed = record.open, read_sealed(row.sealed, where="record 0")
+        site = sealed["site"].value if "site" in sealed else None
+        named = site.get("id") if isinstance(site, dict) else None
+        robot = str(opened.get("robot"))
+        self.told = {
+            "robot": robot,
+            "gate": gate_name(RobotId(robot)),
+            "site": str(named or opened.get("site")),
+            "root": str(opened.get("root")),
+        }
 
 
 def _payload(found: Verification, known: Known, log: Log) -> dict[str, Any]:
@@ -130,6 +173,7 @@ def _lines(found: Verification, known: Known, log: Log, *, own: bool) -> Iterato
         return
     covers = f", {found.anchored_size} of {found.size} records" if found.anchored_size else ""
     yield f"whole: {found.size} records, head {found.head}"
+    yield from told(found.missing)
     yield f"anchored: {found.anchored}{covers}"
     vouched = max((size for by, size in found.anchors if by == "witnessed"), default=0)
     for seen in known.cosigned:

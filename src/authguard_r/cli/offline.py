@@ -26,6 +26,9 @@ CounterOption = Annotated[
     Path | None,
     typer.Option("--counter", help="The store's outside counter, where no gate runs and it has."),
 ]
+NewOption = Annotated[
+    bool, typer.Option("--new", help="Make the store where there is none, for a gate to come.")
+]
 
 
 class Kept(Struct, frozen=True, kw_only=True):
@@ -37,6 +40,7 @@ class Kept(Struct, frozen=True, kw_only=True):
         site: the site model.
         robot: which gate of the folder; None: its only one.
         counter: the store's own, as it was named.
+        new: it is made where there is none; else a path with a typing error makes nothing.
     """
 
     store: Path
@@ -44,6 +48,7 @@ class Kept(Struct, frozen=True, kw_only=True):
     site: Path
     robot: str | None = None
     counter: Path | None = None
+    new: bool = False
 
 
 @contextmanager
@@ -51,14 +56,18 @@ def offline(place: Kept) -> Iterator[Gate]:
     """Yield the gate of a store that nobody holds, for one act.
 
     Raises:
-        EnvironmentFault: as `counter_of`.
+        EnvironmentFault: there is no such store; or as `counter_of`.
         StoreError: the store cannot be used; a gate that holds it is named.
     """
+    site, rid = load_site(place.site, place.trust), gate_robot(place.trust, place.robot)
+    is_there = place.store.is_file() and place.store.stat().st_size > 0
+    if not (place.new or is_there):
+        raise _unusable("no gate answers and no store is there: nothing was done", str(place.store))
     with told_of(beside_store(place.store), place.store):
         gate = offline_gate(
             place.trust,
-            load_site(place.site, place.trust),
-            rid=gate_robot(place.trust, place.robot),
+            site,
+            rid=rid,
             store=place.store,
             counter=counter_of(place.store, place.counter),
         )

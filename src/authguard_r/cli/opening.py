@@ -15,9 +15,9 @@ import msgspec
 import typer
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import BOX, SEALING, WRAP, Box
+from authguard_r.audit.boxes import SEALING, Box
 from authguard_r.audit.closed import Closed, closed_of
-from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
+from authguard_r.audit.record import BOX, WRAP, Record, Sealed, read_record, read_sealed
 from authguard_r.audit.verify import Row, Verification
 from authguard_r.cli.signing_key import passphrase_of
 from authguard_r.core.encoding import encode_fast

@@ -28,7 +28,7 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission import TokenArgument, app
 from authguard_r.cli.mission_files import beside_token, warn
-from authguard_r.cli.offline import CounterOption, Kept, offline
+from authguard_r.cli.offline import CounterOption, Kept, NewOption, offline
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.commands import Command, Verb
@@ -86,6 +86,7 @@ def activate_command(
     ] = None,
     robot: RobotOption = None,
     counter: CounterOption = None,
+    new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Take in a signed mission, its next version, or a template's instance; make it active."""
@@ -93,7 +94,7 @@ def activate_command(
     said = _confirmation(token, confirmation)
     if said is None and read_token(data).kind is not Tag.INSTANCE:
         warn("no confirmation lies beside the token: the log will say that none was given")
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return _manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
 
 
@@ -233,25 +234,33 @@ def _manage(
     as_json: bool,
 ) -> int:
     """Have one order carried out, by the gate that holds the store or on the store itself."""
-    standing = managed(place, act)
+    standing, by_gate = managed(place, act)
     payload = {"standing": msgspec.to_builtins(standing), "status": str(standing.status)}
     lines = [*said, f"{standing.mid} version {standing.version}: {standing.status}"]
     lines += [f"  open release {release.ticket}" for release in standing.open]
-    emit(payload, lines, as_json=as_json)
+    emit({**payload, "by_gate": by_gate}, [*lines, *alone(by_gate, place)], as_json=as_json)
     return 0
 
 
-def managed(place: Kept, act: Callable[[Orders], T]) -> T:
+def alone(by_gate: bool, place: Kept) -> list[str]:
+    """Return the line that says that no robot has heard of it."""
+    return [] if by_gate else [f"no gate answered: this is in the store {place.store} alone"]
+
+
+def managed(place: Kept, act: Callable[[Orders], T]) -> tuple[T, bool]:
     """Do an act of management, by the gate that holds the store or on the store itself.
+
+    Returns:
+        What came of it, and whether a gate did it.
 
     Raises:
         AuthGuardError: it was refused, or the store is held and its gate does not answer.
     """
     with running_gate(place.store, place.trust, gate_robot(place.trust, place.robot)) as running:
         if running is not None:
-            return act(running)
+            return act(running), True
         with offline(place) as gate:
-            return act(gate.management)
+            return act(gate.management), False
 
 
 def _opened(token: Path, trust: Path, template: Path | None) -> VerifiedMission:

@@ -13,11 +13,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import typer
 from msgspec import Struct
 
 import authguard_reference as oracle
 from authguard_r.assembly import root_digest
+from authguard_r.audit.missing import told as told_missing
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
 from authguard_r.audit.verify import Row, Verification, verify_rows
 from authguard_r.cli.audit import StoreArgument
@@ -33,6 +35,8 @@ from authguard_r.keys.trust import Trust, read_trust
 
 #: What broken inputs can make of the oracle, which is written for sound ones.
 _BROKEN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+#: What the safety gate decides by beside its envelope.
+_BEYOND = frozenset({"rules", "checker"})
 _UNVERIFIED = "  tokens were read and held to no signature: name --trust"
 
 
@@ -78,6 +82,7 @@ class Replay:
         self.agree = 0
         self.differ = 0
         self.emergencies = 0
+        self.unchecked = 0  # accepted, and the log does not say what the second gate was held to
         self.left: dict[str, Left] = {}
 
     def see(self, row: Row) -> Difference | None:
@@ -97,6 +102,7 @@ class Replay:
             wrong = self._sources.note(record, values)
             return None if wrong is None else self._forged(record, wrong)
         if row.seq < self._first:
+            self._sources.pass_by(record, values)
             return None
         self.decisions += 1
         return self._decided(record, self._sources.inputs(record, values))
@@ -126,12 +132,15 @@ class Replay:
             return None
         if isinstance(found, Forged):
             return self._forged(record, found)
+        told = recorded(record)
         try:
             again = decided_again(found)
+            is_accept = again["verdict"] == "accept"
+            again["safe"] = _safe_again(found, told["safe"]) if is_accept else None
         except _BROKEN as error:
             return self._forged(record, Forged(f"no decision comes of it: {error!r}"))
-        told = recorded(record)
-        again["released"] = told["released"] and again["verdict"] == "accept"
+        self.unchecked += is_accept and found.safety is None
+        again["released"] = told["released"] and again["safe"] is True
         names = [name for name in told if told[name] != again[name]]
         if names and not found.ends_known and told["reasons"] == [Reason.CERTIFICATE_EXPIRED]:
             self._leave(record, "the revocation list of then is not in the log")
@@ -180,15 +189,38 @@ def decided_again(found: Inputs) -> dict[str, Any]:
     }
 
 
+def _safe_again(found: Inputs, told: bool | None) -> bool | None:
+    """Return what the safety gate has to say of an accepted action.
+
+    The oracle has the envelope alone: where rules of what came before or a checker decide as well,
+    they may refuse what it passes, and nothing passes that it refuses. Without the configuration
+    in the log it is as the record says.
+    """
+    if found.safety is None:
+        return told
+    state = found.values["state"]
+    dangers = oracle.hazards(
+        found.safety,
+        found.values["action"],
+        state[0] if state else None,
+        found.facts,
+        found.values["now"],
+    )
+    if dangers or not _BEYOND & found.safety.keys():
+        return not dangers
+    return told
+
+
 def recorded(record: Record) -> dict[str, Any]:
     """Return what a decision's record says."""
-    opened = record.open
+    opened, safety = record.open, record.open.get("safety")
     return {
         "verdict": record.link.decision,
         "reasons": opened.get("reasons"),
         "grant": opened.get("grant"),
         "required": opened.get("required"),
         "risk": opened.get("risk"),
+        "safe": safety.get("safe") if isinstance(safety, dict) else None,
         "released": opened.get("ticket") != NONE,
     }
 
@@ -239,7 +271,8 @@ def replay_command(
 ) -> int:
     """Make every decision of a log again, from the log alone; one that differs: exit 1.
 
-    The log is verified in the same pass: one that is not whole is exit 1, too.
+    The log is verified in the same pass: one that is not whole is exit 1, too, and one that lacks
+    values which no order in it has destroyed.
     """
     anchor = None if trust is None else read_trust(trust)
     replay, opening = Replay(anchor, first=first), opening_of(reader, passphrase_file)
@@ -257,6 +290,7 @@ def replay_command(
             "not_replayable": replay.not_replayable,
             "why": why,
             "emergencies": replay.emergencies,
+            "unchecked": replay.unchecked,
             "verified": anchor is not None,
             "from": first,
             "whole": found.whole,
@@ -264,11 +298,12 @@ def replay_command(
             "head": found.head,
             "fault": found.fault,
             "where": found.where,
+            "missing": msgspec.to_builtins(found.missing),
             "told_by": told_by,
         }
         lines = [*_lines(replay, found), *([] if anchor is not None else [_UNVERIFIED])]
         out.end(rest, lines)
-    return 0 if found.whole and not replay.differ else 1
+    return 0 if found.whole and not (replay.differ or found.missing) else 1
 
 
 def _lines(replay: Replay, found: Verification) -> Iterator[str]:
@@ -276,10 +311,13 @@ def _lines(replay: Replay, found: Verification) -> Iterator[str]:
         yield f"whole: {found.size} records, head {found.head}"
     else:
         yield f"NOT WHOLE at {found.where}: {found.fault}; replayed up to there"
+    yield from told_missing(found.missing)
     counts = f"{replay.agree} agree, {replay.differ} differ, {replay.not_replayable} not replayable"
     yield f"replayed: {replay.decisions} decisions, {counts}"
     for why, item in replay.left.items():
         yield f"  not replayable {item.count} (record {item.first} to {item.last}): {why}"
+    if replay.unchecked:
+        yield f"  {replay.unchecked} accepted: the second gate's configuration is not in the log"
     if replay.emergencies:
         yield f"  {replay.emergencies} emergency releases: decided by no mission, not made again"
 

@@ -24,8 +24,10 @@ from authguard_r.approvals.organization import (
     require_sound_policy,
 )
 from authguard_r.audit.closed import closed_of
-from authguard_r.audit.record import Record
+from authguard_r.audit.record import Record, ends_motion
 from authguard_r.cli.log_claims import as_token, claimed, claimed_mission, is_instance
+from authguard_r.cli.replay_safety import SecondGate
+from authguard_r.cli.replay_standing import Standings
 from authguard_r.cli.replay_words import plain, plain_facts
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest_of, unb64
@@ -79,6 +81,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
         values: what the record sealed: action, state, now, standing.
         approvals: the answers, opened.
         ends_known: every revocation list of then is at hand, so the end above is exact.
+        safety: the safety gate's configuration; None: it is not in the log.
     """
 
     mission: dict[str, Any]
@@ -88,6 +91,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
     values: dict[str, Any]
     approvals: list[dict[str, Any]]
     ends_known: bool
+    safety: dict[str, Any] | None = None
 
 
 class _Kept(Struct, frozen=True, kw_only=True):
@@ -115,6 +119,7 @@ class _Arrived(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     snapshot: Snapshot
     arrived_mono_ms: int
+    fence: int = 0
 
 
 class Sources:
@@ -129,15 +134,24 @@ class Sources:
         self._lists = 0
         self._facts: SiteFacts | None = None
         self._plain_facts: dict[str, Any] = {}
+        #: The log's size after the last end of a motion, once its decisions name fences.
+        self._fence, self._has_fences = 0, False
         self._no_site = "neither site nor mission is in this part of a log"
         self._missions: OrderedDict[str, _Kept] = OrderedDict()
         self._gone: OrderedDict[str, str] = OrderedDict()
+        self._standings = Standings()
+        self.second = SecondGate()
 
     def note(self, record: Record, values: dict[str, Any]) -> Forged | None:
         """Take in what a record says of later decisions; return what does not hold of it."""
+        if ends_motion(record.kind, record.link.decision):
+            self._fence = record.link.seq + 1
         try:
             if record.kind == "genesis":
                 self._begin(record, values)
+                self.second.configure(record, values, "safety")
+            elif record.kind == "management" and record.link.decision == "configuration":
+                self.second.configure(record, values, "digest")
             elif record.kind == "revocation":
                 self._list(record, values)
             elif record.kind == "management" and record.link.decision == "site":
@@ -147,14 +161,25 @@ class Sources:
             elif record.kind == "management" and record.link.decision == "risk-policy":
                 self._policy(record, values)
         except AuthGuardError as error:
+            self._standings.note(record, values)
             return Forged(f"{error.reason}: {error.message}")
-        return None
+        wrong = self._standings.note(record, values)
+        return Forged(wrong) if wrong else None
 
     def inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
         """Return everything that a decision was made of, or why that cannot be said."""
+        found = self._inputs(record, values)
+        self.pass_by(record, values)
+        return found
+
+    def pass_by(self, record: Record, values: dict[str, Any]) -> None:
+        """Count what a decision released, whether it is decided again or not."""
+        self._standings.note(record, values)
+
+    def _inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
         gone = _not_there(record, values)
         if gone:
-            return Lacking(gone)
+            return Lacking(gone)  # whether an order explains that, `audit.missing` says
         digest = str(record.open.get("mission"))
         lacking = self._lacking(record, digest, values)
         if lacking is not None:
@@ -165,6 +190,10 @@ class Sources:
         try:
             beside = msgspec.convert({name: values[name] for name in _NEEDED}, _Beside)
             _require_linked(record, beside)
+            self._require_fence(beside)
+            wrong = "".join(map(self._standings.wrong, beside.standing))
+            if wrong:
+                return Forged(wrong)
             return Inputs(
                 mission=kept.plain,
                 digest=digest,
@@ -173,11 +202,32 @@ class Sources:
                 values=values,
                 approvals=self._answers(beside),
                 ends_known=self._trust is not None and not self._has_unknown_lists(),
+                safety=self.second.config,
             )
         except msgspec.ValidationError as error:
             return Forged(f"not what a decision is made of: {error}")
         except AuthGuardError as error:
             return Forged(f"{error.reason}: {error.message}")
+
+    def _require_fence(self, beside: _Beside) -> None:
+        """Require that a decision asked for state from after the last motion.
+
+        Logs of before there were fences name none; once one is named, each decision names one.
+
+        Raises:
+            MalformedError: it did not.
+        """
+        for state in beside.state:
+            # whoever writes the one writes the other
+            self._has_fences = self._has_fences or state.fence > 0 or self.second.is_told
+            if state.fence and not self.second.is_told:
+                raise MalformedError("no safety configuration comes before it", where="safety")
+            if self._has_fences and state.fence < self._fence:
+                raise MalformedError(
+                    f"a motion ended with record {self._fence - 1}, and state from before it was "
+                    f"taken: expected at least fence {self._fence}, got {state.fence}",
+                    where="state.fence",
+                )
 
     def _lacking(self, record: Record, digest: str, values: dict[str, Any]) -> str | None:
         """Return what of the log a decision needs and does not have, None when it has all."""
@@ -268,6 +318,8 @@ class Sources:
         self._missions.move_to_end(digest)
         while len(self._missions) > _MOST_KEPT:
             self._missions.popitem(last=False)
+        final = frozenset(grant.id for grant in mission.actions if grant.irreversible)
+        self._standings.irreversible[str(mission.mid)] = final
 
     def _note_gone(self, digest: str, why: str) -> None:
         self._gone[digest] = why

@@ -43,11 +43,18 @@ from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.management.configurations import Configuration, Part
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import How
 from authguard_r.report import Report, average_deviation, plan_deviation
-from authguard_r.safety import SafetyConfig, TemporalGate, open_config
+from authguard_r.safety import (
+    SafetyConfig,
+    TemporalGate,
+    default_config,
+    open_config,
+    safety_digest,
+)
 from authguard_r.safety.kept import memory_of
 from authguard_r.shapes import report_json
 from authguard_r.sim.robot import Faults
@@ -174,6 +181,7 @@ def run_command(
             counter=counter_of(path, counter),
         )
     try:
+        _hold(simulation, config or default_config(model, rid))
         mid = _activate(simulation, read_file(token))
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
@@ -205,12 +213,17 @@ def stop_command(
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
     with offline(place) as gate:
         gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
-    emit(
-        {"stopped": True},
-        ["stopped; the mission goes on after `authguard mission resume`"],
-        as_json=as_json,
-    )
+    said = "recorded in the store alone, no robot was reached"
+    line = f"{said}; the mission goes on after `authguard mission resume`"
+    emit({"stopped": True, "by_gate": False}, [line], as_json=as_json)
     return 0
+
+
+def _hold(simulation: Simulation, config: SafetyConfig) -> None:
+    """Hold what is in force against what the store has seen (`gate.configured`)."""
+    part = Configuration(digest=safety_digest(config), version=config.version)
+    sealed: dict[Part, dict[str, object]] = {Part.SAFETY: {"safety": config}}
+    simulation.gate.management.hold_configurations({Part.SAFETY: part}, sealed=sealed)
 
 
 def _activate(simulation: Simulation, token: bytes) -> MissionId:

@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 from msgspec import Struct, to_builtins
+from msgspec.structs import replace
 
 from authguard_r.cli.gate_peers import user_number
 from authguard_r.compile.draft import Quantity
@@ -100,7 +101,7 @@ def own_envelope(site: Site, robot: str, *, where: str) -> SafetyConfig:
     """
     if robot not in site.robots:
         raise unknown(robot, "robot", site.robots, where=where)
-    return default_config(site, RobotId(robot))
+    return replace(default_config(site, RobotId(robot)), version=site.version)  # to be signed
 
 
 def read_form(form: Form, site: Site, *, where: str) -> SafetyConfig:

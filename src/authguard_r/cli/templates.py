@@ -23,13 +23,14 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn
-from authguard_r.cli.offline import CounterOption, Kept
+from authguard_r.cli.offline import CounterOption, Kept, NewOption
 from authguard_r.cli.orders import (
     ORDER_MS,
     CertOption,
     KeyOption,
     RobotOption,
     StoreOption,
+    alone,
     managed,
     signer_of,
 )
@@ -180,8 +181,8 @@ def sign_command(
 def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) -> Reading:
     """Return card and lint of every combination; without the site only what needs none."""
     if site is None:
-        alone = dict.fromkeys(found for mission in missions for found in lint_alone(mission))
-        return Reading(findings=tuple(alone))
+        each = dict.fromkeys(found for mission in missions for found in lint_alone(mission))
+        return Reading(findings=tuple(each))
     model = load_site(site)
     require_known(template, model)
     card = tuple(review_template(template, missions, model))
@@ -237,6 +238,7 @@ def admit_command(
     store: StoreOption,
     robot: RobotOption = None,
     counter: CounterOption = None,
+    new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Let a robot take a signed template in; its scheduler may fill it from then on."""
@@ -248,7 +250,7 @@ def admit_command(
     def act(orders: Orders) -> TemplateStanding:
         return orders.template(data, confirmation=said)
 
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return _manage(place, act, as_json=as_json)
 
 
@@ -283,8 +285,9 @@ def withdraw_command(
 
 def _manage(place: Kept, act: Callable[[Orders], TemplateStanding], *, as_json: bool) -> int:
     """Have one act about a template done, by the gate that holds the store or on the store."""
-    held = managed(place, act)
+    held, by_gate = managed(place, act)
     status = "withdrawn" if held.withdrawn else "here"
     line = f"{held.template}: {status}, {held.used} of {held.instances} missions made"
-    emit({"template": msgspec.to_builtins(held), "status": status}, [line], as_json=as_json)
+    payload = {"template": msgspec.to_builtins(held), "status": status, "by_gate": by_gate}
+    emit(payload, [line, *alone(by_gate, place)], as_json=as_json)
     return 0

@@ -136,8 +136,13 @@ class AsyncGateClient:
         """Tell the gate what the planner was shown, before it proposes."""
         await self.ask(Kind.OBSERVE, Observe(channel=channel, text=text))
 
+    @property
+    def fence(self) -> int:
+        """The newest fence that has come: what is measured after it is read carries it."""
+        return self._session.fence
+
     async def attest(self, token: bytes) -> None:
-        """Hand in a signed snapshot."""
+        """Hand in a signed snapshot; fences come with the answer."""
         await self.ask(Kind.SNAPSHOT, Attest(token=token))
 
     async def activate(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:

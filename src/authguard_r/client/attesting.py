@@ -21,11 +21,11 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier, RobotId
 from authguard_r.core.ports import Signer
-from authguard_r.core.state import Snapshot
+from authguard_r.core.state import Pose, Reading, Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, frame, read_body
-from authguard_r.wire.messages import Attest, ClientRole, Fault, Kind
+from authguard_r.wire.messages import Attest, ClientRole, Fault, Fence, Kind
 
 #: A snapshot that nobody answers for so long ends the connection, in milliseconds.
 ANSWER_MS = 2_000
@@ -37,10 +37,17 @@ _IDS = 1 << 32
 
 
 class Seen(Struct, frozen=True):
-    """What was measured last, signed by nobody yet, and when, on the monotonic clock."""
+    """What was measured last, signed by nobody yet.
+
+    Args:
+        snapshot: the values.
+        measured_ms: when, on the machine's monotonic clock.
+        path_ms: it may have been measured so much earlier, where nobody says when it was.
+    """
 
     snapshot: Snapshot
     measured_ms: int
+    path_ms: int = 0
 
 
 class Attester:
@@ -59,6 +66,12 @@ class Attester:
         self._seq = 0
         self._asked_ms: int | None = None
         self._due_ms = 0
+        #: The gate's newest fence, and when it came, on the monotonic clock.
+        self._fence = self._fenced_ms = 0
+
+    def fence(self, number: int, now_ms: int) -> None:
+        """Take a fence from the gate: what is measured from now on carries its number."""
+        self._fence, self._fenced_ms = number, now_ms
 
     def due(self, seen: Seen | None, now_ms: int) -> bytes | None:
         """Return the next snapshot's frame.
@@ -76,15 +89,14 @@ class Attester:
         self._due_ms = following if following > now_ms else now_ms + self._period_ms
         self._asked_ms = now_ms
         self._seq += 1
-        snapshot = aged(seen.snapshot, now_ms - seen.measured_ms)
+        fenced = since(seen, self._fence, self._fenced_ms)
+        snapshot = aged(fenced, now_ms - seen.measured_ms)
         signed = replace(snapshot, epoch=self._epoch, seq=self._seq)
         token = sign_object(signed, Tag.STATE, self._signer)
         return frame(Kind.SNAPSHOT, self._seq % _IDS, Attest(token=token))
 
     def answered(self, item: Frame) -> AuthGuardError | None:
         """Take the gate's answer; return its refusal, if it is one."""
-        if item.kind is Kind.EVENT:
-            return None
         self._asked_ms = None
         return from_fault(read_body(item.body, Fault)) if item.kind is Kind.ERROR else None
 
@@ -93,8 +105,31 @@ class Attester:
         return self._asked_ms is not None and now_ms - self._asked_ms > ANSWER_MS
 
     def hung_up(self) -> None:
-        """Forget what was on its way: the connection is gone."""
+        """Forget what was on its way, and the fence: the connection is gone."""
         self._asked_ms = None
+        self._fence = 0
+
+
+def since(seen: Seen, fence: int, fenced_ms: int) -> Snapshot:
+    """Return the snapshot with the fence on every value that was measured after it came.
+
+    One clock tells: the machine's monotonic one, on which the sensors say when they measured. A
+    value of the same millisecond counts as before.
+    """
+    begun_ms = seen.measured_ms - seen.path_ms
+
+    def number(value: Reading | Pose) -> int:
+        return fence if begun_ms - value.age_ms > fenced_ms else 0
+
+    snapshot, pose = seen.snapshot, seen.snapshot.pose
+    return replace(
+        snapshot,
+        pose=None if pose is None else replace(pose, fence=number(pose)),
+        readings={
+            name: replace(reading, fence=number(reading))
+            for name, reading in snapshot.readings.items()
+        },
+    )
 
 
 def aged(snapshot: Snapshot, by_ms: int) -> Snapshot:
@@ -175,7 +210,10 @@ class AttestingEnd:
         self._is_connected = True
 
     def heard(self, item: Frame) -> None:
-        """Take the gate's answer."""
+        """Take the gate's answer, or a fence."""
+        if item.kind is Kind.EVENT:
+            self._attester.fence(read_body(item.body, Fence).fence, mono_ms())
+            return
         refusal = self._attester.answered(item)
         before, self._refused = self._refused, refusal
         if refusal is not None:

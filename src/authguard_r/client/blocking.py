@@ -195,8 +195,13 @@ class GateClient:
         """Tell the gate what the planner was shown, before it proposes."""
         self._quick(Kind.OBSERVE, Observe(channel=channel, text=text))
 
+    @property
+    def fence(self) -> int:
+        """The newest fence that has come: what is measured after it is read carries it."""
+        return self._session.fence
+
     def attest(self, token: bytes) -> None:
-        """Hand in a signed snapshot."""
+        """Hand in a signed snapshot; fences come with the answer."""
         self._quick(Kind.SNAPSHOT, Attest(token=token))
 
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:

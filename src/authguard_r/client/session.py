@@ -33,6 +33,7 @@ from authguard_r.wire.messages import (
     Act,
     ClientRole,
     Fault,
+    Fence,
     Kind,
     Welcome,
 )
@@ -86,6 +87,8 @@ class Session:
     def __init__(self, greeting: Greeting, *, nonce: str, now: Callable[[], Now]) -> None:
         self.welcome: Welcome | None = None
         self.broken: AuthGuardError | None = None
+        #: Estimators: the gate's newest fence that has come; 0 before the first.
+        self.fence = 0
         self._greeting = greeting
         self._nonce = nonce
         self._now = now
@@ -229,6 +232,8 @@ class Session:
             self._welcomed(item)
         elif item.kind is Kind.ERROR and item.id == 0:
             raise from_fault(read_body(item.body, Fault))
+        elif item.kind is Kind.EVENT and item.id == 0 and self._is_estimator:
+            self.fence = read_body(item.body, Fence).fence
         elif item.kind in PUSHED or self._is_told(item):
             self._hold(self._pushed, item)
         elif item.kind is Kind.WELCOME:
@@ -244,6 +249,10 @@ class Session:
         welcome = read_body(item.body, Welcome)
         require_welcome(welcome, self._greeting, nonce=self._nonce, now=self._now())
         self.welcome = welcome
+
+    @property
+    def _is_estimator(self) -> bool:
+        return self._greeting.role is ClientRole.ESTIMATOR
 
     def _is_told(self, item: Frame) -> bool:
         """True for an event without a request: only machines take such."""

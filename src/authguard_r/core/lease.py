@@ -16,7 +16,7 @@ from authguard_r.core.checks.mission import registry_findings
 from authguard_r.core.checks.place import place_findings
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings, in_paper_order
-from authguard_r.core.identifiers import Digest, GrantId, MissionId, RegionId, VariableId
+from authguard_r.core.identifiers import Digest, GrantId, MissionId, RegionId, RobotId, VariableId
 from authguard_r.core.mission import Grant, Guard, Row
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
@@ -100,7 +100,7 @@ def still(
 ) -> Findings:
     """Return why the robot may not go on, empty while it may."""
     found = [
-        *_time(lease, now),
+        *time_findings(lease, now),
         *registry_findings(standing, mid=lease.mid, version=lease.version, digest=lease.digest),
     ]
     rid = facts.robot.rid
@@ -116,11 +116,12 @@ def still(
     guards = [guard_finding(guard, state, rid, now) for guard in lease.guards]
     found += [finding for finding in guards if finding is not None]
     for bound in lease.bounds:
-        found += _bound(lease, bound, state=state, facts=facts, now=now)
+        found += bound_findings(lease, bound, state, rid=rid, now=now)
     return in_paper_order(tuple(found)) if found else ()
 
 
-def _time(lease: Lease, now: Now) -> Findings:
+def time_findings(lease: Lease, now: Now) -> Findings:
+    """Return why a lease has ended by itself."""
     found: list[Finding] = []
     if now.utc_ms > lease.until_utc_ms:
         at, got = to_timestamp(lease.until_utc_ms), to_timestamp(now.utc_ms)
@@ -131,17 +132,15 @@ def _time(lease: Lease, now: Now) -> Findings:
     return tuple(found)
 
 
-def _bound(
-    lease: Lease, bound: Bound, *, state: AttestedState | None, facts: SiteFacts, now: Now
+def bound_findings(
+    lease: Lease, bound: Bound, state: AttestedState | None, *, rid: RobotId, now: Now
 ) -> Findings:
+    """Return why an attested variable is not known to keep to its bound."""
     field = f"state.{bound.variable}"
     reading = state.snapshot.readings.get(bound.variable) if state is not None else None
-    unfit = unfit_finding(
-        field, reading, state=state, rid=facts.robot.rid, now=now, max_age_ms=lease.max_age_ms
-    )
+    unfit = unfit_finding(field, reading, state, rid=rid, now=now, max_age_ms=lease.max_age_ms)
     if unfit is not None:
         return (unfit,)
     value = reading.value if reading is not None else None
-    if type(value) is int and value <= bound.high:
-        return ()
-    return (Finding(field, Reason.BOUND_EXCEEDED, f"at most {bound.high}", str(value)),)
+    beyond = Finding(field, Reason.BOUND_EXCEEDED, f"at most {bound.high}", str(value))
+    return () if type(value) is int and value <= bound.high else (beyond,)

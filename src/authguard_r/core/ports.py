@@ -123,6 +123,10 @@ class Store(Protocol):
         """Keep room for essential jobs again if it was used; True while there is room beside it."""
         ...
 
+    def is_here(self) -> bool:
+        """True while its file is where it was opened; nothing is committed to one that is not."""
+        ...
+
     def close(self) -> None:
         """Finish what was submitted and let go of the file."""
 
@@ -174,3 +178,6 @@ class StateSource(Protocol):
     def latest(self) -> bytes | None:
         """Return the newest signed snapshot token, or None when there is none."""
         ...
+
+    def fence(self, number: int) -> None:
+        """Have everything measured anew; what is measured after this call carries the number."""

@@ -197,18 +197,17 @@ def settle(
     release = next((r for r in standing.open if r.ticket == ticket), None)
     if release is None or outcome is Outcome.UNKNOWN:
         return standing
-    use = use_of(standing, release.grant)
-    order = standing.order
+    use, won = use_of(standing, release.grant), outcome is Outcome.SUCCEEDED
     grant = next((g for g in mission.actions if g.id == release.grant), None)
-    if outcome is Outcome.SUCCEEDED:
-        order += 1
-        use = _with(use, successes=use.successes + 1, last_success=order)
-    elif outcome is Outcome.NOT_STARTED and grant is not None and not grant.irreversible:
-        use = _with(use, starts=use.starts - 1)
+    back = outcome is Outcome.NOT_STARTED and grant is not None and not grant.irreversible
+    order = standing.order + won
+    last = order if won else use.last_success
+    use = Use(starts=use.starts - back, successes=use.successes + won, last_success=last)
     return _with(
         standing,
         uses={**standing.uses, release.grant: use},
         order=order,
+        actions=standing.actions - back,
         spent=_settle_spend(standing.spent, release.reserved, used),
         open=tuple(r for r in standing.open if r.ticket != ticket),
     )

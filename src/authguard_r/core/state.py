@@ -18,21 +18,23 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 
 
-class Reading(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Reading(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """One value of one variable.
 
     Args:
         value: an integer in the variable's unit, a truth value, or an identifier.
         label: where the estimator had it from; only `trusted_sensor` counts.
         age_ms: how old it was when the snapshot was made, in milliseconds.
+        fence: the newest fence that the estimator had when it began to measure this; 0: none.
     """
 
     value: ids.Integer | bool | ids.Identifier
     label: Label
     age_ms: ids.Count
+    fence: ids.Count = 0
 
 
-class Pose(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Pose(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """Where the robot is, with how much it may be wrong.
 
     Args:
@@ -43,6 +45,7 @@ class Pose(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         margin_mm: radius that holds the true position, in millimeters.
         label: as in `Reading`.
         age_ms: as in `Reading`.
+        fence: as in `Reading`.
     """
 
     map: ids.Identifier
@@ -52,6 +55,7 @@ class Pose(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     margin_mm: ids.Count
     label: Label
     age_ms: ids.Count
+    fence: ids.Count = 0
 
 
 class Snapshot(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -83,6 +87,8 @@ class AttestedState(Struct, frozen=True, kw_only=True):
         digest: their digest.
         place: every region that the pose may lie in; empty when it lies in none or is unknown.
         arrived_mono_ms: the gate's monotonic clock when it came in.
+        fence: no decision rests on a value that was measured before the gate gave this number
+            out, after the robot's last motion; 0: none is asked for, as while the robot moves.
     """
 
     snapshot: Snapshot
@@ -90,6 +96,7 @@ class AttestedState(Struct, frozen=True, kw_only=True):
     digest: ids.Digest
     place: frozenset[ids.RegionId]
     arrived_mono_ms: int
+    fence: int = 0
 
 
 def attest(snapshot: Snapshot, facts: SiteFacts, *, arrived_mono_ms: int) -> AttestedState:

@@ -11,12 +11,12 @@ from __future__ import annotations
 from msgspec import Struct
 
 from authguard_r.core.action import Action
-from authguard_r.core.checks.guards import guard_finding, unfit_finding
+from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.place import place_findings
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings, in_paper_order
 from authguard_r.core.identifiers import Digest, GrantId, MissionId
-from authguard_r.core.lease import Bound, Lease
+from authguard_r.core.lease import Bound, Lease, bound_findings, time_findings
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState
@@ -168,16 +168,10 @@ def still_emergency(
     lacks: frozenset[Missing],
 ) -> Findings:
     """Return why the robot may not go on, empty while it may (as `core.lease.still`)."""
-    found = list(state_findings(capability, state, facts=facts, now=now))
-    if now.utc_ms > lease.until_utc_ms:
-        at, got = to_timestamp(lease.until_utc_ms), to_timestamp(now.utc_ms)
-        found.append(Finding("now", Reason.EXPIRED, f"at most {at}", got))
-    if now.mono_ms > lease.until_mono_ms:
-        late = f"{now.mono_ms - lease.until_mono_ms} ms later"
-        found.append(Finding("lease", Reason.LEASE_ENDED, "in its time", late))
+    found = [*state_findings(capability, state, facts=facts, now=now), *time_findings(lease, now)]
     found += _missing(capability, Scene(state=state, facts=facts, now=now, lacks=lacks))
     for bound in lease.bounds:
-        found += _bound(lease, bound, state, facts=facts, now=now)
+        found += bound_findings(lease, bound, state, rid=facts.robot.rid, now=now)
     return in_paper_order(tuple(found))
 
 
@@ -233,19 +227,3 @@ def _uses(capability: Capability, scene: Scene) -> Findings:
         return ()
     rate = f"under {capability.per_hour} in an hour"
     return (Finding("capability.per_hour", Reason.RATE_EXCEEDED, rate, str(recent)),)
-
-
-def _bound(
-    lease: Lease, bound: Bound, state: AttestedState | None, *, facts: SiteFacts, now: Now
-) -> Findings:
-    field = f"state.{bound.variable}"
-    reading = None if state is None else state.snapshot.readings.get(bound.variable)
-    unfit = unfit_finding(
-        field, reading, state=state, rid=facts.robot.rid, now=now, max_age_ms=lease.max_age_ms
-    )
-    if unfit is not None:
-        return (unfit,)
-    value = None if reading is None else reading.value
-    if type(value) is int and value <= bound.high:
-        return ()
-    return (Finding(field, Reason.BOUND_EXCEEDED, f"at most {bound.high}", str(value)),)

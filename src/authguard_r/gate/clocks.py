@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Callable
 
 
-async def every(period_s: float, act: Callable[[], None]) -> None:
+async def every(period_s: float, act: Callable[[], object]) -> None:
     """Do something again and again; the next time is counted from the last begin."""
     loop = asyncio.get_running_loop()
     due = loop.time()

@@ -50,6 +50,7 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     """One gate's configuration. What has a default is not written where it has that value.
 
     Args:
+        version: grows with each change; a store goes back to none before it. 0: not versioned.
         robot: the robot it is for.
         mode: `shadow` releases nothing and says so everywhere.
         peers: who may connect, sorted by user.
@@ -69,6 +70,8 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         checkpoint_ms: a checkpoint is made after so long, if anything is new.
         witnesses: who cosign the checkpoints, each once.
         quorum: so many of them make one `witnessed`; 0 where there are none.
+        state_wait_ms: a step waits so long for state that was measured after the robot's last
+            motion, and is refused then.
         witness_ms: nothing was witnessed for so long, though there is something: an alert; 0: none.
         segment_records: while so many records lie in the store, the oldest go into a sealed
             segment beside it; 0: never.
@@ -76,6 +79,7 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         retention: how long sealed fields are kept, for each class at most one rule, sorted.
     """
 
+    version: Count = 0
     robot: RobotId
     mode: Mode
     peers: Annotated[tuple[Peer, ...], Meta(min_length=1, max_length=256)]
@@ -94,6 +98,7 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     quorum: Count = 0
     witness_ms: Count = 600_000
     segment_records: Count = 1_000_000
+    state_wait_ms: Annotated[int, Meta(ge=0, le=60_000)] = 2_000
     readers: Annotated[tuple[Reader, ...], Meta(max_length=32)] = ()
     retention: Annotated[tuple[Retention, ...], Meta(max_length=len(DataClass))] = ()
 

@@ -8,7 +8,6 @@ and nothing waits. Spec page: docs/spec/gate-protocol.md#requests
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -18,7 +17,6 @@ from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.enforcement import attested_source, evaluate
 from authguard_r.gate.clients import Client
 from authguard_r.gate.controller import RemoteController
 from authguard_r.gate.inbox import Inbox
@@ -31,9 +29,6 @@ from authguard_r.gate.view import View
 from authguard_r.management.lists import Received
 from authguard_r.management.rollback import AcceptedStore
 from authguard_r.management.shredding import Shredding
-from authguard_r.normalize import Step
-from authguard_r.report import Judged
-from authguard_r.safety.kept import memory_of
 from authguard_r.templates.kept import TemplateStanding
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, read_body
@@ -105,6 +100,7 @@ class Desk:
         self._plans = plans
         self._motions = motions
         self._inbox = inbox
+        motions.beside.append(plans.foresight.look)
         self._view = view
         self._controller = controller
         self._streams = streams
@@ -210,8 +206,9 @@ class Desk:
                 reason=Reason.STATE_REPLAYED,
                 where="snapshot",
             )
-        self._inbox.put(attested.token)
-        state = intake.refresh()
+        self._inbox.put(attested.token, client)
+        intake.refresh()
+        state = intake.newest
         self._motions.look()
         if intake.fault is not None:
             raise intake.fault
@@ -239,7 +236,7 @@ class Desk:
             else:
                 client.reply(number, {"steps": steps})
 
-        self._plans.evaluate(client, asked, self._judge, answer)
+        self._plans.evaluate(client, asked, answer)
 
     def _status(self, client: Client, number: int, asked: object) -> None:  # noqa: ARG002
         client.reply(number, self._view.status())
@@ -273,20 +270,3 @@ class Desk:
 
     def _result(self, client: Client, number: int, said: Result) -> None:  # noqa: ARG002
         self._motions.tell(said)
-
-    def _judge(self, step: Step) -> Judged:
-        """Ask both gates about a step as things are now, without any effect."""
-        gate = self._gate
-        state = gate.enforcer.intake.refresh()  # as before a decision
-        verified = gate.ledger.run(gate.enforcer.intake.active_mission)
-        standing = gate.ledger.standing(verified.mission.mid)
-        remembered = partial(memory_of, standing=standing)
-        return evaluate(
-            verified,
-            attested_source(step, state),
-            state=state,
-            facts=gate.facts,
-            now=gate.ledger.now(),
-            standing=standing,
-            safety=gate.safety.recall(gate.ledger.peek(remembered)),
-        )

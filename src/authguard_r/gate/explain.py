@@ -79,7 +79,9 @@ def _explained(
     values = {name: item.value for name, item in sealed.items()}
     action = act_of(values)
     who = who_of(record, values)
-    why = _why(opened, values) or (list(map(str, opened.get("reasons", ()))) if closed else [])
+    why = _why(opened, values, hazards_of(record)) or (
+        list(map(str, opened.get("reasons", ()))) if closed else []
+    )
     change = _change(record, values, mission)
     influences = values.get("influences", [])
     emergency = opened.get("what") == EMERGENCY
@@ -89,6 +91,7 @@ def _explained(
         "kind": record.kind,
         "time": to_timestamp(record.link.time_ms),
         "decision": record.link.decision,
+        "verdict": verdict_of(record),
         "what": what,
         "who": who,
         "why": why,
@@ -118,11 +121,25 @@ def is_refused_proposal(record: Record) -> bool:
     if record.kind == "refusal":
         asked = record.open.get("what") in {PROPOSAL, EMERGENCY}
         return record.link.decision == "reject" and asked
-    if record.kind != "decision":
-        return False
+    return record.kind == "decision" and (record.link.decision == "reject" or is_unsafe(record))
+
+
+def is_unsafe(record: Record) -> bool:
+    """True for a decision that the safety gate refused, whatever the mission allows."""
     safety = record.open.get("safety")
-    unsafe = isinstance(safety, dict) and safety.get("safe") is False
-    return record.link.decision == "reject" or unsafe
+    return isinstance(safety, dict) and safety.get("safe") is False
+
+
+def hazards_of(record: Record) -> tuple[str, ...]:
+    """Return what the safety gate said against an action."""
+    hazards = record.open["safety"].get("hazards") if is_unsafe(record) else None
+    return tuple(map(str, hazards)) if isinstance(hazards, list) else ()
+
+
+def verdict_of(record: Record) -> str:
+    """Return what both gates say together: `unsafe` where the mission alone would accept."""
+    said = record.link.decision
+    return "unsafe" if said == "accept" and is_unsafe(record) else said
 
 
 def no_record(seq: int | None) -> RefusedError:
@@ -165,7 +182,7 @@ def _named(record: Record) -> str:
     return str(opened.get("what") or opened.get("verb") or record.kind)
 
 
-def _why(opened: dict[str, Any], values: dict[str, Any]) -> list[str]:
+def _why(opened: dict[str, Any], values: dict[str, Any], hazards: tuple[str, ...]) -> list[str]:
     findings = values.get("findings") or []
     told = [
         f"{f['reason']} at {f['field']}: expected {f['expected']}, got {f['got']}" for f in findings
@@ -173,14 +190,12 @@ def _why(opened: dict[str, Any], values: dict[str, Any]) -> list[str]:
     if not told and "message" in values:
         at = f" (at {values['where']})" if values.get("where") else ""
         told = [f"{code}: {values['message']}{at}" for code in opened.get("reasons", [])]
-    safety = opened.get("safety")
-    hazards = safety.get("hazards", []) if isinstance(safety, dict) else []
     return told + [f"safety gate: {hazard}" for hazard in hazards]
 
 
 def _lines(record: Record, *, who: str, what: str, why: list[str]) -> list[str]:
     at = to_timestamp(record.link.time_ms)
-    said = list(dict.fromkeys((record.kind, record.link.decision, what)))
+    said = list(dict.fromkeys((record.kind, verdict_of(record), what)))
     named = " ".join(said[:2]) + "".join(f": {word}" for word in said[2:])
     by = "" if who == NONE else f" (by {who})"
     head = f"record {record.link.seq}, {at}: {named}{by}"

@@ -48,18 +48,17 @@ class Liveness:
         self._mono_ms = mono_ms
         self._raise = raise_alert
         self._heard: dict[ClientRole, int] = {}
-        self._silent: set[ClientRole] = set()
+        self._holding: set[str] = set()
         self._refused: dict[str, int] = {}
         self._asked: set[str] = set()
         self._active = False
         self._since_ms = mono_ms()
-        self._in_time = True
         self.alerts: deque[dict[str, Any]] = deque(maxlen=_SHOWN)
 
     def hear(self, role: ClientRole) -> None:
         """Note that a role was heard of."""
         self._heard[role] = self._mono_ms()
-        self._end(role, f"{role} is silent")
+        self.holds(f"{role} is silent", is_so=False)
 
     def ages(self) -> dict[str, int | None]:
         """Return how long ago each role was heard of, in milliseconds, None for never."""
@@ -69,32 +68,52 @@ class Liveness:
             for role in (ClientRole.PLANNER, ClientRole.ESTIMATOR, ClientRole.CONTROLLER)
         }
 
-    def check(self, *, active: bool, controller: bool) -> None:
-        """Raise what is due: one alert for each silence.
+    def check(
+        self,
+        *,
+        active: bool,
+        controller: bool,
+        estimator: bool = True,
+        in_time: bool = True,
+        only_counts: bool = False,
+        has_store: bool = True,
+    ) -> None:
+        """Raise what is due, and end what is over: one alert for each silence.
 
         Args:
             active: a mission is active; nobody has to speak without one.
             controller: a controller is connected, or this gate needs none.
+            estimator: an estimator has to speak; False where the robot is in this process.
+            in_time: the wall clock is not behind what was committed.
+            only_counts: refusals are counted and not recorded, for want of room.
+            has_store: the store's file is where it was opened.
         """
         if active and not self._active:
             self._since_ms = self._mono_ms()  # silence counts from the mission's begin
         self._active = active
-        if not active:
-            return
         config = self._config
         self._check(ClientRole.PLANNER, config.planner_silence_ms)
-        self._check(ClientRole.ESTIMATOR, config.estimator_silence_ms)
-        if controller:
-            self._end(ClientRole.CONTROLLER, _AWAY)
-        elif ClientRole.CONTROLLER not in self._silent:
-            self._silent.add(ClientRole.CONTROLLER)
-            self.alert(_AWAY, {})
+        if estimator:
+            self._check(ClientRole.ESTIMATOR, config.estimator_silence_ms)
+        self.holds(_AWAY, is_so=active and not controller)
+        self.holds("the clock is behind", is_so=not in_time)
+        self.holds("the store was moved away", is_so=not has_store)
+        self.holds("refusals are only counted: the disk is full", is_so=only_counts)
 
-    def keep_time(self, *, right: bool) -> None:
-        """Raise an alert when the wall clock falls behind what was committed, once each time."""
-        if not right and self._in_time:
-            self.alert("the clock is behind", {})
-        self._in_time = right
+    def holds(self, what: str, *, is_so: bool, details: dict[str, Any] | None = None) -> None:
+        """Raise an alert when something begins, and end it when that is over.
+
+        Args:
+            what: it is called so.
+            is_so: whether it is so now.
+            details: what else is said when it begins.
+        """
+        if is_so and what not in self._holding:
+            self._holding.add(what)
+            self.alert(what, details or {})
+        elif not is_so and what in self._holding:
+            self._holding.discard(what)
+            self.end(what)
 
     def judge(self, client: Identifier, report: Report) -> bool:
         """Count refusals in a row; True when it is time to stop the robot.
@@ -106,6 +125,8 @@ class Liveness:
             self._refused.pop(user, None)
             self._refused.pop(client, None)
             self._asked.discard(user)
+            for what in ("no progress", "a person is asked"):
+                self.end(what, user=user)
             return False
         self._ask(client, user, report)
         if report.judged is not None and report.judged.released:
@@ -142,23 +163,15 @@ class Liveness:
         self.alerts.append({"what": what, **details})
         self._raise(what, details)
 
-    def _end(self, role: ClientRole, what: str) -> None:
-        """Note that a silence is over, so that nobody looks for its cause any more."""
-        if role not in self._silent:
-            return
-        self._silent.discard(role)
-        self.end(what)
-
-    def end(self, what: str) -> None:
-        """Say of an alert that what it told of is over."""
+    def end(self, what: str, *, user: str | None = None) -> None:
+        """Say of an alert that what it told of is over; of one user's, if named."""
         for number, told in enumerate(self.alerts):
+            if user is not None and str(told.get("client")).partition(".")[0] != user:
+                continue
             if told["what"] == what:
                 self.alerts[number] = {**told, "over": True}
 
     def _check(self, role: ClientRole, most_ms: int) -> None:
-        if most_ms == 0 or role in self._silent:
-            return
         silent_ms = self._mono_ms() - max(self._heard.get(role, 0), self._since_ms)
-        if silent_ms > most_ms:
-            self._silent.add(role)
-            self.alert(f"{role} is silent", {"silent_ms": silent_ms})
+        is_silent = self._active and 0 < most_ms < silent_ms
+        self.holds(f"{role} is silent", is_so=is_silent, details={"silent_ms": silent_ms})

@@ -55,7 +55,7 @@ _ANSWERS: tuple[tuple[str, tuple[Reason, ...]], ...] = (
     ),
     (
         "look why it was suspended or stopped, then: authguard resume",
-        (Reason.MISSION_SUSPENDED, Reason.STOPPED, Reason.TRANSITION_REFUSED),
+        (Reason.MISSION_SUSPENDED, Reason.STOPPED, Reason.TRANSITION_REFUSED, Reason.ORDER_TOO_OLD),
     ),
     (
         "let the estimator of this robot run and be heard: authguard status",
@@ -64,6 +64,7 @@ _ANSWERS: tuple[tuple[str, tuple[Reason, ...]], ...] = (
             Reason.STATE_FOREIGN,
             Reason.STATE_MISSING,
             Reason.STATE_UNTRUSTED,
+            Reason.STATE_BEFORE_MOTION,
             Reason.STATE_STALE,
             Reason.STATE_REPLAYED,
         ),

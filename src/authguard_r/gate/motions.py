@@ -65,7 +65,7 @@ class Motions:
         self._streams = streams
         self._open: dict[Digest, _Motion] = {}
         #: done after each look: what is not a motion yet
-        self.beside: Callable[[], None] = lambda: None
+        self.beside: list[Callable[[], None]] = []
 
     def __len__(self) -> int:
         return len(self._open)
@@ -116,7 +116,8 @@ class Motions:
                 self._end(ticket, motion, report)
             elif motion.running.holds and self._controller is not None:
                 self._controller.renew(ticket)
-        self.beside()
+        for look in self.beside:
+            look()
 
     def leases(self) -> tuple[OpenLease, ...]:
         """Return what is open."""

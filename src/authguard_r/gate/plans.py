@@ -10,30 +10,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
-from authguard_r.core.identifiers import Digest, Identifier
+from authguard_r.core.identifiers import Identifier
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.provenance import TRUST
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement import Enforcer
 from authguard_r.gate.clients import Client
+from authguard_r.gate.foresight import Foresight
 from authguard_r.gate.motions import Motions
+from authguard_r.gate.plan_run import Later, Run
 from authguard_r.gate.proposals import (
     Answered,
     Keeper,
     Kept,
-    Numbers,
     Proposals,
     require_same_plan,
 )
-from authguard_r.gate.reader import SHORT, Reader
-from authguard_r.normalize import Binder, Dialect, Plan, Step, normalize
+from authguard_r.gate.reader import SHORT, Reader, Taken
+from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.normalize.context import ContextLedger
-from authguard_r.report import Judged, Report
+from authguard_r.report import Report
 from authguard_r.running import Running, require_judged
 from authguard_r.shapes import Disclosure, decision_json, told_json
 from authguard_r.wire.messages import Evaluate, Fault, Propose, Result
@@ -55,50 +56,6 @@ def parts_of(text: str) -> list[str]:
     return [text[at : at + PART] for at in range(0, len(text), PART)] or [""]
 
 
-class Later(Protocol):
-    """Lets something of a client wait for its turn."""
-
-    def __call__(self, client: Client, act: Callable[[], None], *, first: bool = False) -> None:
-        """Put it behind what waits of the client, or `first`, before all of that."""
-        ...
-
-
-class Run:
-    """One plan on its way.
-
-    Args:
-        client: who is answered; another connection of the same client may take its place.
-        number: the request.
-        asked: what it asked for.
-        evidence: digest of the planner's exact bytes.
-    """
-
-    def __init__(self, client: Client, number: int, asked: Propose, evidence: Digest) -> None:
-        self.client = client
-        self.number = number
-        self.asked = asked
-        self.evidence = evidence
-        self.steps: tuple[Step, ...] = ()
-        self.reports: list[Report] = []
-        self.numbers: tuple[Numbers, ...] = ()
-        self.told: list[dict[str, Any]] = []
-        self.noting = 0  # results that are still looked through
-
-    def answered(self, then: str | None = None) -> Answered:
-        """Return what is known of it so far."""
-        return Answered(
-            evidence=self.evidence,
-            planned=len(self.steps),
-            steps=tuple(self.told),
-            on_refusal=then,
-        )
-
-    def add(self, report: Report, disclosure: Disclosure) -> None:
-        """Take in a step's final report, and what the planner is told of it."""
-        self.reports.append(report)
-        self.told.append(told_json(report, disclosure))
-
-
 class Plans:
     """Every plan that is not answered yet.
 
@@ -109,6 +66,7 @@ class Plans:
         motions: watches what was released.
         proposals: what is recorded.
         channels: the site's own channels.
+        foresight: asks both gates without any effect, and lets a step wait for newer state.
         disclosure: how much a planner is told.
         shadow: every step is judged, whatever became of the one before: nothing is released.
         later: lets a client's next step wait for its turn.
@@ -126,6 +84,7 @@ class Plans:
         motions: Motions,
         proposals: Proposals,
         channels: dict[str, str],
+        foresight: Foresight,
         disclosure: Disclosure,
         shadow: bool,
         later: Later,
@@ -139,6 +98,7 @@ class Plans:
         self._motions = motions
         self._proposals = proposals
         self._channels = channels
+        self.foresight = foresight
         self._disclosure = disclosure
         self._shadow = shadow
         self._later = later
@@ -197,7 +157,13 @@ class Plans:
         run = Run(client, number, asked, evidence)
         self._open[client.name, asked.key] = run
         try:
-            self._read_plan(client, asked.plan, dialect, partial(self._read, run))
+            self._read_plan(
+                client,
+                asked.plan,
+                dialect,
+                partial(self._read, run),
+                wanted=lambda: not run.client.gone,  # another connection may have taken it over
+            )
         except BaseException:  # whatever it was: the key is free again
             self._open.pop((client.name, asked.key), None)
             raise
@@ -208,8 +174,11 @@ class Plans:
         self._answered(run.client)
         run.client, run.number = client, number
 
-    def _read(self, run: Run, plan: Plan | AuthGuardError) -> None:
+    def _read(self, run: Run, plan: Plan | AuthGuardError | None) -> None:
         """Go on with a plan that was read, or record that it could not be."""
+        if plan is None:
+            self._leave(run)
+            return
         if isinstance(plan, Plan):
             run.steps = plan.steps
             self._step(run)
@@ -225,7 +194,6 @@ class Plans:
         self,
         client: Client,
         asked: Evaluate,
-        judge: Callable[[Step], Judged],
         answer: Callable[[list[dict[str, Any]] | AuthGuardError], None],
     ) -> None:
         """Answer what both gates would say of each step; nothing is recorded or released.
@@ -233,29 +201,34 @@ class Plans:
         Args:
             client: who asks.
             asked: the plan.
-            judge: asks both gates about one step.
             answer: called once, with the decisions or with why there are none.
 
         Raises:
             MalformedError: no such dialect.
         """
 
-        def read(plan: Plan | AuthGuardError) -> None:
+        def read(plan: Plan | AuthGuardError | None) -> None:
             try:
+                if plan is None:
+                    return
                 if isinstance(plan, AuthGuardError):
                     raise plan
-                answer([decision_json(judge(step), authoritative=False) for step in plan.steps])
+                judged = map(self.foresight.judge, plan.steps)
+                answer([decision_json(one, authoritative=False) for one in judged])
             except AuthGuardError as error:
                 answer(error)
 
-        self._read_plan(client, asked.plan, _dialect(asked.dialect), read)
+        dialect = _dialect(asked.dialect)
+        self._read_plan(client, asked.plan, dialect, read, wanted=lambda: not client.gone)
 
     def _read_plan(
         self,
         client: Client,
         data: bytes,
         dialect: Dialect,
-        taken: Callable[[Plan | AuthGuardError], None],
+        taken: Taken,
+        *,
+        wanted: Callable[[], bool],
     ) -> None:
         """Read a plan: a short one here, a long one in a process of its own.
 
@@ -263,7 +236,7 @@ class Plans:
             EnvironmentFault: too many long ones wait already.
         """
         if len(data) > SHORT:
-            self._reader.read(data, dialect, taken, uid=client.uid, wanted=lambda: not client.gone)
+            self._reader.read(data, dialect, taken, uid=client.uid, wanted=wanted)
             return
         try:
             plan: Plan | AuthGuardError = normalize(data, binder=self._binder, dialect=dialect)
@@ -272,9 +245,23 @@ class Plans:
         taken(plan)
 
     def _step(self, run: Run) -> None:
+        """Decide the next step; it waits while newer state may make it acceptable."""
+        self._step_by(None, run)
+
+    def _step_by(self, until_ms: int | None, run: Run) -> None:
+        """Decide the next step, or let it wait, until then at most."""
+        step = run.steps[len(run.reports)]
+
+        def go_on(until_ms: int) -> None:
+            self._later(run.client, partial(self._step_by, until_ms, run))
+
+        if run.client.gone or not self.foresight.holds(step, until_ms, go_on):
+            self._decide(run)
+
+    def _decide(self, run: Run) -> None:
         """Decide the next step; what is released is watched until it ends."""
         client = run.client
-        if client.gone:  # it went while its plan was read, or its next step waited for its turn
+        if client.gone:  # it went while its plan was read, or its next step waited
             self._leave(run)
             return
         step = run.steps[len(run.reports)]

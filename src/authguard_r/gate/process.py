@@ -35,6 +35,7 @@ from authguard_r.emergency.journal import EmergencyJournal
 from authguard_r.emergency.opened import OpenedPolicy
 from authguard_r.gate.clocks import every
 from authguard_r.gate.config import GateConfig
+from authguard_r.gate.configured import hold_configured
 from authguard_r.gate.controller import RemoteController, ShadowController
 from authguard_r.gate.inbox import Inbox
 from authguard_r.gate.journal import Journal
@@ -170,7 +171,7 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
         gate.enforcer.before_first(lambda: None)
         if mounted.remote is not None:
             mounted.remote.keep_time(gate.ledger.mono_ms)
-        recovery = Recovery(gate.management, first=partial(gate.management.hold_policy, parts.risk))
+        recovery = Recovery(gate.management, first=partial(hold_configured, parts, gate.management))
         recovery.begin()
         service = Service(
             gate,
@@ -196,7 +197,10 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
         if keeper is not None and mounted.remote is not None:
             mounted.remote.ask_with(keeper.sync)
         asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
-        recovery.end()
+        if gate.ended():
+            recovery.end()
+        else:  # it starts as after a crash, and somebody is told why
+            service.notices.publish({"event": "alert", "what": "refusals could not be recorded"})
 
 
 def _rescue(
@@ -230,6 +234,7 @@ def _mount(parts: Parts) -> _Mounted:
 
 
 def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore, safety: SafetyGate) -> Gate:
+    named = {"binding": binding_digest(parts.binding), "safety": safety_digest(parts.safety)}
     clock = {"clock": SIMULATED} if parts.simulated is not None else {}
     sealing = SealingPolicy(readers=parts.config.readers, retention=parts.config.retention)
     gate = assemble(
@@ -241,11 +246,8 @@ def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore, safety: Safet
         source=mounted.source,
         clock=mounted.clock,
         store=store,
-        genesis={
-            "binding": binding_digest(parts.binding),
-            "safety": safety_digest(parts.safety),
-            **clock,
-        },
+        genesis={**named, **clock},
+        sealed={"safety": parts.safety},
         demo=parts.demo,
         refusals=_policy(parts.config),
         stand_within_ms=parts.config.stand_within_ms,
@@ -289,7 +291,7 @@ def _streams(parts: Parts, gate: Gate, remote: RemoteController | None) -> Strea
         remote,
         facts=gate.facts,
         stopping_mm=partial(stopping_mm, profile),
-        state=lambda: gate.enforcer.intake.state,
+        state=lambda: gate.enforcer.intake.newest,
     )
     remote.admit_with(streams.admit)
     return streams

@@ -269,6 +269,7 @@ class OpenQuestions:
             snapshot = msgspec.convert(kept[0]["snapshot"], Snapshot)
             arrived = kept[0]["arrived_mono_ms"]
             state = attest(snapshot, self._gate.facts, arrived_mono_ms=arrived)
+            state = msgspec.structs.replace(state, fence=kept[0].get("fence", 0))
         guards = (*verified.mission.guards, *grant.guards)
         return tuple(guard_finding(g, state, verified.mission.rid, now) is None for g in guards)
 

@@ -40,8 +40,8 @@ _MEMORY = 1 << 30
 #: Added to the gate's niceness: hostile text has time.
 _NICER = 10
 
-#: Takes a plan that was read, or why it could not be.
-Taken = Callable[[Plan | AuthGuardError], None]
+#: Takes a plan that was read, or why it could not be; None: it was not, for nobody waits.
+Taken = Callable[[Plan | AuthGuardError | None], None]
 
 
 class _Asked(Struct, frozen=True):
@@ -192,9 +192,9 @@ class Reader:
     def _take(self, plan: Plan | AuthGuardError) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
-        done = [(self._queue.popleft(), plan)]
+        done: list[tuple[_Asked, Plan | AuthGuardError | None]] = [(self._queue.popleft(), plan)]
         while self._queue and not self._queue[0].wanted():
-            done.append((self._queue.popleft(), MalformedError("nobody waits", where="input")))
+            done.append((self._queue.popleft(), None))
         if self._queue:
             self._send()
         for asked, answer in done:

@@ -71,8 +71,8 @@ class Recovery:
         return True
 
     def after(self, kind: Kind) -> bool:
-        """Settle as soon as there is a snapshot; True when that was now."""
-        return kind is Kind.SNAPSHOT and self.now()
+        """Settle as soon as there is a snapshot of after the start; True when that was now."""
+        return kind is Kind.SNAPSHOT and not self._management.is_behind and self.now()
 
     def late(self, uptime_ms: int) -> bool:
         """Settle without a snapshot once nobody sends one; True when that was now."""

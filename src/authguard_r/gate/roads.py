@@ -56,6 +56,6 @@ def open_road(
         publish=service.notices.publish,
     )
     service.desk.rescues = rescues
-    service.motions.beside = rescues.look
+    service.motions.beside.append(rescues.look)
     service.view.emergency = rescues.shown
     return road

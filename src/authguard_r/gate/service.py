@@ -26,6 +26,7 @@ from authguard_r.gate.clocks import every, first
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.controller import RemoteController
 from authguard_r.gate.desk import Desk
+from authguard_r.gate.foresight import Foresight
 from authguard_r.gate.inbox import Inbox
 from authguard_r.gate.journal import Journal
 from authguard_r.gate.liveness import Liveness
@@ -108,8 +109,8 @@ class Service:
         self._clients: set[Client] = set()
         self._users: Counter[int] = Counter()
         self._ring = Ring(self._shed)
-        self._turning = False
-        self._closing = False
+        self._turning = self._closing = False
+        self._foresight = Foresight(gate, wait_ms=config.state_wait_ms)
         self.motions = Motions(controller, streams)
         self.notices = Notices(gate.ledger, lambda: self._clients, journal)
         self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
@@ -158,6 +159,7 @@ class Service:
             motions=self.motions,
             proposals=Proposals(self.gate.ledger, self._config.disclosure),
             channels=channels,
+            foresight=self._foresight,
             disclosure=self._config.disclosure,
             shadow=self._config.mode is Mode.SHADOW,
             later=self._later,
@@ -244,8 +246,7 @@ class Service:
     def refused(self, name: Identifier, error: AuthGuardError) -> None:
         """Record a request, or a connection, that was refused before it was anything."""
         self.view.counted["refused"] += 1
-        made = partial(refusal_entry, error, client=name)
-        fold = (name, str(error.reason), error.where)
+        made, fold = partial(refusal_entry, error, client=name), (name, error.reason, error.where)
         quietly(lambda: self.gate.ledger.refuse(made, fold=fold))
 
     # turns
@@ -338,7 +339,7 @@ class Service:
         """Keep the clocks going until it is time to end, then stop the robot and write it down."""
         clocks = [
             asyncio.create_task(every(LOOK_S, self._look)),
-            asyncio.create_task(every(FLUSH_S, self._flush)),
+            asyncio.create_task(every(FLUSH_S, partial(quietly, self.gate.ledger.flush))),
             asyncio.create_task(every(LISTEN_S, self._listen)),
             asyncio.create_task(every(VIGIL_S, self.vigil.look)),
             asyncio.create_task(every(SHRED_S, self.retirement.look)),
@@ -359,25 +360,24 @@ class Service:
         if self._advance is not None and self.motions:
             self._turn_soon()  # simulated time passes as fast as it can be watched
 
-    def _flush(self) -> None:
-        quietly(self.gate.ledger.flush)
-
     def _listen(self) -> None:
         """Once a second: recovery that is late, silence, the clock, the journal's counts."""
-        now_ms = self.gate.ledger.mono_ms()
         if self._recovery.late(self.view.uptime_ms):
             self._recovered()
-        self.liveness.keep_time(right=quietly(self.gate.ledger.now) is not None)
-        if self._config.mode is Mode.ENFORCE:
-            connected = self._controller is None or self._controller.connected
-            self.liveness.check(active=self.view.has_mission, controller=connected)
+        self.liveness.check(
+            active=self.view.has_mission and self._config.mode is Mode.ENFORCE,
+            controller=self._controller is None or self._controller.connected,
+            estimator=self._advance is None,
+            **self.view.ledger_state(),
+        )
         self._desk.questions.listen()
-        self._journal.counts(self.view.counted, now_ms)
+        self._journal.counts(self.view.counted, self.gate.ledger.mono_ms())
 
     async def _come_to_rest(self) -> None:
         """Stop what moves, wait for it to stand, and let everybody go."""
         self._closing = True
         self.gate.enforcer.before_first(_refuse_all)  # a next step, and a plan that is being read
+        self._foresight.close()
         if self.motions:
             self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
         loop = asyncio.get_running_loop()
@@ -389,7 +389,7 @@ class Service:
         for session in tuple(self._sessions):
             session.end()
         self._reader.close()
-        self._flush()
+        quietly(self.gate.ledger.flush)
 
 
 def _refuse_all() -> None:

@@ -20,6 +20,8 @@ from authguard_r.wire.messages import ClientRole, StopHeard
 
 #: Stops that are known when they come again; the lane forgets what it was told of.
 _KNOWN = 4_096
+#: What is said while no stop is heard of.
+_GONE = "the stop lane is gone"
 
 
 class StopBook:
@@ -78,14 +80,17 @@ class StopBook:
         )
         if heard.stood_ms is None:
             self._liveness.alert("nobody confirmed a stop", {"by": by})
+        else:
+            self._liveness.end("nobody confirmed a stop")
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
         """Say that no stop is heard of until the lane is back."""
-        self._liveness.alert("the stop lane is gone", {} if why is None else {"why": str(why)})
+        self._liveness.holds(_GONE, is_so=True, details={} if why is None else {"why": str(why)})
 
-    def lane_silent(self) -> None:
-        """Say that the lane is there and does not answer: nobody may be able to stop by it."""
-        self._liveness.alert("the stop lane does not answer", {})
+    def lane_silent(self, *, is_silent: bool) -> None:
+        """Say that the lane is there and does not answer, or does again."""
+        self._liveness.holds(_GONE, is_so=False)
+        self._liveness.holds("the stop lane does not answer", is_so=is_silent)
 
     def _record(self, heard: StopHeard, by: Identifier) -> None:
         too_many = self._enforcer.stopped(

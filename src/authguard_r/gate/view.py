@@ -30,6 +30,7 @@ from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.motions import Motions
 from authguard_r.ledger import Act, stop_stands
 from authguard_r.report import Report
+from authguard_r.running import quietly
 from authguard_r.wire.messages import ClientRole
 
 #: Longest page of the log, in bytes of records.
@@ -94,6 +95,15 @@ class View:
         """How the active mission stands, None without one."""
         mission = self._active()
         return None if mission is None else str(mission["status"])
+
+    def ledger_state(self) -> dict[str, bool]:
+        """Return what is the matter with clock and store (`Liveness.check`)."""
+        ledger = self._gate.ledger
+        return {
+            "in_time": quietly(ledger.now) is not None,
+            "only_counts": ledger.refusals.only_counts,
+            "has_store": ledger.store.is_here(),
+        }
 
     def mission_changed(self) -> None:
         """Say that what is known of the active mission is old."""
@@ -232,12 +242,13 @@ class View:
         if self._changed:
             try:
                 self._known = self._gate.ledger.run(self._mission)
-            except ClockError:
-                return self._gate.ledger.peek(self._as_held)
+            except (ClockError, StoreError) as error:  # behind, or moved away
+                void = error.reason
+                return self._gate.ledger.peek(lambda turn: self._as_held(turn, void))
             self._changed = False
         return self._known
 
-    def _as_held(self, turn: Turn) -> dict[str, Any] | None:
+    def _as_held(self, turn: Turn, void: Reason) -> dict[str, Any] | None:
         """Return the active mission as it is held: showing it needs no clock, verifying it does."""
         mid = turn.get("active", "mission")
         if not mid:
@@ -246,7 +257,7 @@ class View:
         kept = None if standing is None else self._gate.enforcer.intake.kept(standing.digest)
         if standing is None or kept is None:  # of a gate before this one
             return self._known
-        return _shown(standing, kept.mission, void=Reason.CLOCK_BEHIND)
+        return _shown(standing, kept.mission, void=void)
 
     def _mission_of(self, digest: Digest) -> Mission | None:
         try:

@@ -25,6 +25,7 @@ from authguard_r.core.token import read_token
 from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
 from authguard_r.management.activation import activate
+from authguard_r.management.configurations import Configuration, Part, hold_configurations
 from authguard_r.management.orders import carry_out, choose
 from authguard_r.management.parts import Parts, attempt, entry
 from authguard_r.management.policy import hold_policy
@@ -39,6 +40,7 @@ from authguard_r.management.shredding import (
     shred,
     shred_on,
 )
+from authguard_r.report import behind_of
 from authguard_r.sealing import Retention
 from authguard_r.templates import TemplateStanding
 
@@ -209,6 +211,22 @@ class Management:
         """
         attempt(self._ledger, lambda act: hold_policy(act, policy))
 
+    def hold_configurations(
+        self, parts: dict[Part, Configuration], *, sealed: dict[Part, dict[str, object]]
+    ) -> None:
+        """Hold what the gate is configured with against what was seen, and record a change.
+
+        Asked once, before anything is decided.
+
+        Args:
+            parts: what is in force, signed or not.
+            sealed: values that go beside the record of a part's change.
+
+        Raises:
+            RefusedError: a signed part is older than one that was seen.
+        """
+        attempt(self._ledger, lambda act: hold_configurations(act, parts, sealed=sealed))
+
     def standing(self, mid: MissionId) -> Standing | None:
         """Return a mission's standing as it is held."""
         return self._ledger.run(lambda act: act.standing(mid))
@@ -230,6 +248,11 @@ class Management:
             EnvironmentFault: nothing was marked; the next start will call this stop unclean.
         """
         self._ledger.run(mark_stopped, essential=True)
+
+    @property
+    def is_behind(self) -> bool:
+        """True while a value of the newest state is from before the gate's start."""
+        return bool(behind_of(self._intake.state))
 
     def recover(self, *, unclean: bool = False) -> tuple[Digest, ...]:
         """After a stop: settle what attested state settles, suspend for the rest.

@@ -17,8 +17,8 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, advance, carry_over, issue
 from authguard_r.core.token import VerifiedMission, read_token
-from authguard_r.ledger import Act
-from authguard_r.management.parts import Parts, entry, go_on, refuse, replayed
+from authguard_r.ledger import Act, stop_stands
+from authguard_r.management.parts import Parts, entry, refuse, replayed
 from authguard_r.management.repetition import Used, use_instance
 from authguard_r.management.rollback import require_later
 from authguard_r.sealing.kept import drop_last, hold_expiry
@@ -65,15 +65,17 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     if known is not None and act.seals:
         act.drop_token(known.digest)
     drop_last(act, mission.mid, verified.digest)
+    if stop_stands(act) or (known is not None and known.status is Status.SUSPENDED):
+        active = advance(active, Event.SUSPEND) or active  # only a `resume` lets it go on
     act.hold(active)
     act.make_active(mission.mid)
-    go_on(act)
     opened: dict[str, object] = {
         "verb": "activate",
         "by": mission.issuer,
         "version": mission.version,
         "mission": verified.digest,
         "supersedes": mission.supersedes or "-",
+        "status": active.status,
     }
     if offered.used is None:
         sealed = signed_inputs(token, confirmation, mission)

@@ -10,7 +10,7 @@ from authguard_r.approvals import open_selection
 from authguard_r.commands import ENDING, EVENTS, NARROWING, Command, Verb
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Digest, PrincipalId
-from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.reasons import Reason
@@ -22,9 +22,13 @@ from authguard_r.management.parts import (
     Parts,
     entry,
     go_on,
+    halted_ms,
+    hold_suspended,
     refuse,
     replayed,
+    require_newest,
     require_signed_since,
+    require_timely,
 )
 from authguard_r.management.repetition import require_fresh
 from authguard_r.safety.kept import settle_memory
@@ -39,10 +43,14 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
         token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
     )
     standing, mission = _require_current(act, command, signer, parts)
+    _require_newest(act, command)
     after = _carried_out(act, command, standing, mission)
     if after is None:
         raise refuse(Reason.TRANSITION_REFUSED, _refusal(command.verb, standing))
     act.hold(after)
+    if command.verb is Verb.SUSPEND:  # by the signer's clock, as the resume that ends it
+        again = standing.status is Status.SUSPENDED
+        hold_suspended(act, command.mid, command.issued_ms, again=again)
     act.put("command", command.nonce, b"1")
     if command.verb is Verb.RESUME:
         go_on(act)
@@ -58,6 +66,16 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
     }
     act.record(entry(act, command.mid, opened, {"command": command}))
     return after
+
+
+def _require_newest(act: Act, command: Command) -> None:
+    """Refuse to resume, or to suspend, what was ordered otherwise after this was signed."""
+    key = f"{command.mid}/command"
+    if command.verb is Verb.RESUME:
+        over_ms = halted_ms(act, command.mid)
+        require_newest(act, key, command.issued_ms, over_ms=over_ms)
+    elif command.verb is Verb.SUSPEND and command.issued_ms:  # without a time it narrows, too
+        require_newest(act, key, command.issued_ms)
 
 
 def _require_current(
@@ -85,6 +103,8 @@ def _carried_out(
     if command.verb is Verb.RESUME and standing.open:
         return None  # what nobody knows is resolved first
     if command.verb is not Verb.RESOLVE:
+        if command.verb is Verb.SUSPEND and standing.status is Status.SUSPENDED:
+            return standing  # a newer word: no resume that was signed before it ends it
         event = EVENTS.get(command.verb)
         after = None if event is None else advance(standing, event)
         return None if after is None else finish(after, mission, act.now)
@@ -126,8 +146,8 @@ def choose(act: Act, token: bytes, *, parts: Parts) -> Standing:
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
     if standing.status in TERMINAL:
         raise replayed(standing)
-    if act.now.utc_ms > selection.expires_ms or act.get("command", selection.nonce) is not None:
-        raise refuse(Reason.EXPIRED, "the selection ran out or was taken in already")
+    require_timely(act, selection, "selection")
+    require_newest(act, f"{selection.mid}/{selection.grant}/selection", selection.issued_ms)
     require_signed_since(act, selection.issued_ms)
     verified = parts.intake.mission(act, standing.digest)
     grant = next((g for g in verified.mission.actions if g.id == selection.grant), None)

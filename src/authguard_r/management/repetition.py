@@ -20,7 +20,13 @@ from authguard_r.core.standing import advance
 from authguard_r.core.token import open_token
 from authguard_r.intake import ISSUER_ROLES, claimed_template
 from authguard_r.ledger import Act, read_held
-from authguard_r.management.parts import Parts, entry, refuse, require_signed_since
+from authguard_r.management.parts import (
+    Parts,
+    entry,
+    refuse,
+    require_signed_since,
+    require_timely,
+)
 from authguard_r.templates import (
     Instantiated,
     KeptTemplate,
@@ -141,9 +147,8 @@ def withdraw(act: Act, token: bytes, *, parts: Parts) -> TemplateStanding:
 
 
 def require_fresh(act: Act, command: Command) -> None:
-    """Refuse an order that ran out, or that was carried out before."""
-    if act.now.utc_ms > command.expires_ms or act.get("command", command.nonce) is not None:
-        raise refuse(Reason.EXPIRED, "the command ran out or was carried out already")
+    """Refuse an order that ran out, was carried out before, or may be one of a lost log."""
+    require_timely(act, command, "command", is_narrowing=command.verb in NARROWING)
     if command.verb not in NARROWING and command.verb not in {Verb.ACCEPT_STORE, Verb.SHRED}:
         require_signed_since(act, command.issued_ms)
 

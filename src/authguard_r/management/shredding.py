@@ -15,8 +15,17 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import BOX, SEALING, WRAP, Box, DataClass
-from authguard_r.audit.record import NONE, Entry, Record, Sealed, read_record, read_sealed
+from authguard_r.audit.boxes import SEALING, Box, DataClass
+from authguard_r.audit.record import (
+    BOX,
+    NONE,
+    WRAP,
+    Entry,
+    Record,
+    Sealed,
+    read_record,
+    read_sealed,
+)
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError

@@ -27,6 +27,7 @@ def answer_from(result: types.CallToolResult) -> Answer:
     return Answer(
         is_error=bool(result.is_error),
         structured=result.structured_content,
+        text="\n".join(i.text for i in result.content if isinstance(i, types.TextContent)),
         told=told if fits(told) else _told_of(_TOO_LONG),
     )
 

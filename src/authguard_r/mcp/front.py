@@ -24,6 +24,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.mcp import asking
 from authguard_r.mcp.answers import answer_of, texts_of
 from authguard_r.mcp.pins import Pins
+from authguard_r.mcp.unreadable import UNREADABLE
 from authguard_r.normalize.binding import Binding, ways_of
 from authguard_r.site.model import Site
 from authguard_r.tools.planner import Asked, LostError, Planner
@@ -121,6 +122,9 @@ class Front:
         """
         arguments = params.arguments or {}
         try:
+            if UNREADABLE in arguments:
+                await self._planner.unreadable(params.name, str(arguments[UNREADABLE]))
+                raise MalformedError("expected strict JSON, each key once", where="arguments")
             with self._room(arguments):
                 async with self._planner.turn:
                     key = named(params, again=again)

@@ -22,6 +22,7 @@ from authguard_r.listening import (
     shows,
 )
 from authguard_r.mcp.front import Front
+from authguard_r.mcp.unreadable import held_to_json
 
 __all__ = ["guarded", "listening", "read_bearer", "serve_http"]
 
@@ -57,7 +58,7 @@ async def serve_http(front: Front, made: socket.socket, token: bytes) -> None:
         max_sessions=SESSIONS,
     )
     config = uvicorn.Config(
-        guarded(app, token),
+        guarded(held_to_json(app, MAX_REQUEST), token),
         log_level="warning",
         lifespan="on",
         ws="none",

@@ -17,7 +17,10 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from typing import Any
 
+import anyio
 from mcp.server.stdio import stdio_server
+
+from authguard_r.mcp.unreadable import marked
 
 #: Longest message of a client, in bytes; it is let go after a longer one.
 MAX_MESSAGE = 4 << 20
@@ -26,7 +29,7 @@ MAX_MESSAGE = 4 << 20
 class _Lines:
     """What a client says, line by line (`anyio.AsyncFile`, as far as it is read)."""
 
-    def __init__(self, reader: asyncio.StreamReader) -> None:
+    def __init__(self, reader: asyncio.StreamReader | anyio.AsyncFile[bytes]) -> None:
         self._reader = reader
 
     def __aiter__(self) -> _Lines:
@@ -40,7 +43,7 @@ class _Lines:
             raise StopAsyncIteration from None
         if not line:
             raise StopAsyncIteration
-        return line.decode(errors="replace")
+        return marked(line.decode(errors="replace"))
 
 
 class _Printed:
@@ -62,12 +65,10 @@ class _Printed:
 @asynccontextmanager
 async def standard_streams() -> AsyncIterator[tuple[Any, Any]]:
     """Yield the two streams of messages of this process's one client."""
-    if not (_flows(0) and _flows(1)):  # files and terminals: the library reads them by itself
-        async with stdio_server() as streams:
-            yield streams
-        return
+    flows = _flows(0) and _flows(1)
     with _held() as (source, sink):
-        async with _connected(source, sink) as ends, stdio_server(*ends) as streams:
+        connected = _connected(source, sink) if flows else _opened(source, sink)
+        async with connected as ends, stdio_server(*ends) as streams:
             yield streams
 
 
@@ -106,3 +107,10 @@ async def _connected(source: int, sink: int) -> AsyncIterator[tuple[Any, Any]]:
     finally:
         incoming.close()
         outgoing.close()
+
+
+@asynccontextmanager
+async def _opened(source: int, sink: int) -> AsyncIterator[tuple[Any, Any]]:
+    """Yield both ends of files and terminals, which are read and written by worker threads."""
+    with os.fdopen(os.dup(source), "rb") as incoming, os.fdopen(os.dup(sink), "w") as outgoing:
+        yield _Lines(anyio.wrap_file(incoming)), anyio.wrap_file(outgoing)

@@ -82,10 +82,41 @@ class Upstream:
         arguments: dict[str, Any],
         within_s: float,
         *,
-        ticket: Digest | None = None,  # noqa: ARG002 - the port's
+        ticket: Digest | None = None,
     ) -> Answer:
-        """Return a tool's answer as a body reads it; arguments and errors as `ask`'s."""
+        """Return a tool's answer as a body reads it; arguments and errors as `ask`'s.
+
+        A call that stops the robot has a session of its own, where the server is reached by a URL:
+        a server may end the one in which a call runs, or is called off.
+        """
+        if ticket is None and _is_url(self._server):
+            try:
+                return answer_from(await self._apart(tool, arguments, within_s))
+            except TimeoutError as error:
+                raise CallError("no answer in time", sent=True) from error
+            except (MCPError, OSError, ValueError, RuntimeError, ExceptionGroup) as error:
+                self._log.say("no session of its own", "upstream", message=str(error)[:200])
         return answer_from(await self.ask(tool, arguments, within_s))
+
+    async def _apart(
+        self, tool: str, arguments: dict[str, Any], within_s: float
+    ) -> types.CallToolResult:
+        """Return a tool's answer in a session that is opened for this call.
+
+        Raises:
+            TimeoutError: no answer came.
+        """
+        answer = None
+        try:
+            with anyio.fail_after(within_s):
+                async with Client(self._server[0]) as client:
+                    answer = await client.session.call_tool(tool, arguments)
+        except (MCPError, OSError, ValueError, RuntimeError, ExceptionGroup):
+            if answer is None:  # how the session ends is nothing to the stop
+                raise
+        if answer is None:  # pragma: no cover - the block above ends with one or raises
+            raise TimeoutError
+        return answer
 
     async def ask(
         self, tool: str, arguments: dict[str, Any], within_s: float
@@ -258,11 +289,15 @@ async def _tools(client: Client) -> list[types.Tool]:
 def _transport(
     server: tuple[str, ...], environment: dict[str, str], starting: asyncio.Lock
 ) -> str | AbstractAsyncContextManager[Any]:
-    if len(server) == 1 and server[0].startswith(("http://", "https://")):
+    if _is_url(server):
         return server[0]
     command, *arguments = server
     there = StdioServerParameters(command=command, args=arguments, env=environment)
     return _process(there, starting)
+
+
+def _is_url(server: tuple[str, ...]) -> bool:
+    return len(server) == 1 and server[0].startswith(("http://", "https://"))
 
 
 @asynccontextmanager

@@ -26,17 +26,16 @@ from authguard_r.normalize.binding import (
     STOPS,
     Argument,
     Binding,
-    Constant,
     ToolBinding,
     Use,
     Ways,
     binding_digest,
     is_index,
-    same,
     ways,
     ways_of,
 )
 from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.expected import Constant, Expected, same
 from authguard_r.normalize.places import Places
 from authguard_r.normalize.quantity import COORDINATE, scale
 from authguard_r.site.channels import channel_labels
@@ -142,13 +141,14 @@ class Binder:
         """Return every external spelling of regions and objects with the id that it names."""
         return site_spellings(self._site)
 
-    def succeeds(self, call: Call) -> dict[str, Constant]:
-        """Return what stands in the answer of a call that has done its work, by path.
+    def expected(self, call: Call) -> Expected:
+        """Return what stands in the answer of a call that has done its work, or has not.
 
         Raises:
             MalformedError: no way of a tool is this call.
         """
-        return self._choose(call).tool.succeeds
+        tool = self._choose(call).tool
+        return Expected(tool.succeeds, tool.fails)
 
     def result_channel(self, action: Action) -> str:
         """Return the channel of what an action brings to light: of several, the least trusted."""

@@ -29,17 +29,12 @@ from authguard_r.core.identifiers import (
     ToolId,
 )
 from authguard_r.core.reasons import Reason
+from authguard_r.normalize.expected import DECIMAL, Constant, Match, match_fault, same
 from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
 
 #: A positive number of at most 20 characters: `1000`, `0.5` or `1/3`.
 _FACTOR = re.compile(r"(?=.{1,20}\Z)[0-9]+(?:\.[0-9]+|/[0-9]+)?")
-#: A number of at most 20 characters with one spelling: `0.1`, `-2.5`.
-_DECIMAL = re.compile(r"(?=.{1,20}\Z)-?(?:0|[1-9][0-9]*)\.[0-9]*[1-9]")
-
-#: What a planner's tool holds constant: a word, a whole number, a truth value.
-Constant = bool | Integer | str
-
 #: Targets that together name the region in which a position lies.
 POSE = ("pose.x", "pose.y", "pose.map")
 #: Arguments whose constant names what is really moved, as ROS interfaces call them.
@@ -122,8 +117,9 @@ class ToolBinding(
         body: the path under which they stand; empty: at the top.
         result: the channel by which what it brings to light reaches the planner; empty: nobody
             says, and it counts as the least trusted of all.
-        succeeds: paths in the tool's structured answer, with what stands there when it has done
-            its work; empty: whatever is no error.
+        succeeds: paths in the tool's structured answer, or `TEXT` for its words, with what stands
+            there when it has done its work; empty: whatever is no error.
+        fails: the same, with what stands there when it has not; one of them is enough.
         noted: why the tool is bound as it is; for people.
     """
 
@@ -139,7 +135,8 @@ class ToolBinding(
     message: str = ""
     body: str = ""
     result: str = ""
-    succeeds: dict[str, Constant] = {}
+    succeeds: dict[str, Constant | Match] = {}
+    fails: dict[str, Constant | Match] = {}
     noted: str = ""
 
 
@@ -198,13 +195,6 @@ def effect_of(tool: ToolBinding) -> str:
 def binding_digest(binding: Binding) -> Digest:
     """Return the digest under which the log names the binding."""
     return digest_of(Tag.BINDING, binding)
-
-
-def same(value: Any, constant: Constant | Decimal | None) -> bool:
-    """True when a planner's value is exactly the constant: a truth value is never a number."""
-    if isinstance(value, bool) or isinstance(constant, bool | str):
-        return type(value) is type(constant) and bool(value == constant)
-    return bool(value == constant)
 
 
 def require_sound(binding: Binding, site: Site) -> None:
@@ -293,6 +283,10 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     yield from _controller_faults(tool, site)
     if tool.result and tool.result not in channel_labels(site.channels):
         yield "result", f"expected a channel of the site, got `{tool.result!a}`"
+    for name, wanted in (("succeeds", tool.succeeds), ("fails", tool.fails)):
+        for path, match in wanted.items():
+            if fault := match_fault(path, match):
+                yield f"{name}.{path}", fault
     yield from _origin_faults(tool, kind)
 
 
@@ -325,7 +319,7 @@ def _argument_faults(argument: Argument) -> Iterator[tuple[str, str]]:
         yield "to", "expected a target exactly when it is mapped"
     if not _is_factor(argument.per_unit):
         yield "per_unit", "expected a positive number, such as `1000` or `1/3`"
-    if argument.decimal and _DECIMAL.fullmatch(argument.decimal) is None:
+    if argument.decimal and DECIMAL.fullmatch(argument.decimal) is None:
         yield "decimal", "expected a number that is not whole, such as `0.1`"
         return
     settled = argument.constant() is not None

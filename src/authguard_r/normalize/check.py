@@ -63,6 +63,8 @@ class BindingReport(Struct, frozen=True, kw_only=True):
             refused; None: not compared.
         groups: each effect that several ways share, with their places.
         unproven: the ways of which the site has no example; each is a fault.
+        assumed: the ways that move the robot and look into no answer: whatever is no error counts
+            as done.
         faults: everything to mend, with its place; none when the binding holds.
     """
 
@@ -75,6 +77,7 @@ class BindingReport(Struct, frozen=True, kw_only=True):
     uncompared: tuple[str, ...] | None
     groups: dict[str, tuple[str, ...]]
     unproven: tuple[str, ...]
+    assumed: tuple[str, ...]
     faults: tuple[Fault, ...]
 
 
@@ -110,6 +113,7 @@ def check_binding(
         uncompared=tuple(_uncompared(binding, site, interface)) if interface else None,
         groups=_groups(binding, site),
         unproven=unproven,
+        assumed=tuple(_assumed(binding, site)),
         faults=tuple(found),
     )
 
@@ -118,6 +122,15 @@ def _uncompared(binding: Binding, site: Site, interface: tuple[Surface, ...]) ->
     for way in uncompared(binding, interface):
         kind = site.vocabulary.get(way.tool.type)
         if kind is None or not kind.state_writing:
+            yield way.place
+
+
+def _assumed(binding: Binding, site: Site) -> Iterator[str]:
+    for way in ways(binding):
+        kind, tool = site.vocabulary.get(way.tool.type), way.tool
+        moves = kind is not None and kind.moves and not kind.state_writing
+        says = "/action/" in tool.message or "/msg/" in tool.message  # an action has a status
+        if moves and not (tool.succeeds or tool.fails or says):
             yield way.place
 
 

@@ -155,7 +155,7 @@ def default_config(site: Site, rid: RobotId) -> SafetyConfig:
     return SafetyConfig(
         schema="authguard-r/safety/1",
         id=f"{site.id}-default",
-        version=site.version,
+        version=0,  # nobody signed it
         rid=rid,
         profile=profile_digest(profile),
         max_speed_mm_s=profile.max_speed_mm_s,

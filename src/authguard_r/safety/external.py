@@ -191,7 +191,9 @@ def _answer(line: bytes, *, number: str, about: Digest) -> Answer:
 def _told(state: AttestedState, now: Now) -> dict[str, Any]:
     """Return the attested state as a checker sees it: signed values, and how old they are by now.
 
-    The bytes that were signed are passed on as they are; a value's own age comes on top.
+    The bytes that were signed are passed on as they are; a value's own age comes on top. A value
+    with a smaller fence is from before the robot's last motion.
     """
     age = now.mono_ms - state.arrived_mono_ms
-    return {"snapshot": Raw(state.data), "place": sorted(state.place), "age_ms": age}
+    told = {"snapshot": Raw(state.data), "place": sorted(state.place), "age_ms": age}
+    return {**told, "fence": state.fence}

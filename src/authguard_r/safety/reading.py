@@ -13,12 +13,12 @@ from authguard_r.safety.config import SafetyConfig
 def trusted_value(
     state: AttestedState | None, variable: VariableId, *, config: SafetyConfig, now: Now
 ) -> object | None:
-    """Return a fresh, trusted value of the configuration's own robot, or None."""
+    """Return a trusted value of the configuration's own robot, fresh and since its last motion."""
     if state is None or state.snapshot.robot != config.rid:
         return None
     found = state.snapshot.readings.get(variable)
     if found is None or found.label is not Label.TRUSTED_SENSOR:
         return None
-    if not 0 <= age_ms(state, found, now) <= config.max_age_ms:
+    if found.fence < state.fence or not 0 <= age_ms(state, found, now) <= config.max_age_ms:
         return None
     return found.value

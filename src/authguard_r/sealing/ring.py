@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import msgspec
 
-from authguard_r.audit.boxes import SEALING, WRAP, DataClass, opened
-from authguard_r.audit.record import Record, read_record, read_sealed
+from authguard_r.audit.boxes import SEALING, DataClass, opened
+from authguard_r.audit.record import WRAP, Record, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import MalformedError

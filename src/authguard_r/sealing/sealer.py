@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import SEALING, WRAP, Cover, append_covered, opened
-from authguard_r.audit.record import NONE, Entry, append, read_record
+from authguard_r.audit.boxes import SEALING, Cover, append_covered, opened
+from authguard_r.audit.record import NONE, WRAP, Entry, append, read_record
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId

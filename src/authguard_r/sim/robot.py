@@ -155,6 +155,7 @@ class SymbolicRobot:
         self._token: bytes | None = None
         self._snapshot: Snapshot | None = None
         self._seen_ms = 0
+        self.newest_fence = self._seen_fence = 0
         self._observe()
 
     # Clock
@@ -185,6 +186,11 @@ class SymbolicRobot:
         if self._token is None and self._snapshot is not None and self._estimator is not None:
             self._token = sign_object(self._snapshot, Tag.STATE, self._estimator)
         return self._token
+
+    def fence(self, number: int) -> None:
+        """Look again, at once."""
+        self.newest_fence = number
+        self._observe()
 
     def sensed(self) -> Snapshot | None:
         """Return what the sensors see right now, signed by nobody; None when they are silent."""
@@ -396,13 +402,15 @@ class SymbolicRobot:
     def _seen(self, *, epoch: int, seq: int) -> Snapshot:
         stops = self.faults.localization_stops_ms
         if stops is None or self.elapsed_ms < stops:
-            self._seen_ms = self.elapsed_ms
+            self._seen_ms, self._seen_fence = self.elapsed_ms, self.newest_fence
         return snapshot_of(
             self.state,
             robot=self.rid,
             epoch=epoch,
             seq=seq,
             pose_age_ms=self.elapsed_ms - self._seen_ms,
+            fence=self.newest_fence,
+            pose_fence=self._seen_fence,
         )
 
 

@@ -101,10 +101,11 @@ class SensorServer:
 
     def look(self) -> None:
         """Send what is seen now to everybody who keeps up."""
+        now_ms = self._clock()  # before the look: nothing is said to be newer than it is
         seen = self._look()
         if seen is None:
             return
-        data = reading_frame(seen, self._clock())
+        data = reading_frame(seen, now_ms)
         for listener in tuple(self._listeners):
             if listener.get_write_buffer_size() <= MAX_UNREAD:
                 listener.write(data)

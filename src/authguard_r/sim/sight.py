@@ -11,12 +11,20 @@ from authguard_r.sim.world import NOTHING
 
 #: Radius that holds the robot's true position, in millimeters.
 MARGIN_MM = 150
+_TRUSTED = Label.TRUSTED_SENSOR
 
 
 def snapshot_of(
-    state: WorldState, *, robot: RobotId, epoch: int, seq: int, pose_age_ms: int = 0
+    state: WorldState,
+    *,
+    robot: RobotId,
+    epoch: int,
+    seq: int,
+    pose_age_ms: int = 0,
+    fence: int = 0,
+    pose_fence: int = 0,
 ) -> Snapshot:
-    """Return what an estimator says of the world."""
+    """Return what an estimator says of the world, each value with the fence it was seen after."""
     values: dict[str, int | bool | Identifier] = {
         "battery_permille": state.battery_permille,
         "holding": state.holding or NOTHING,
@@ -35,11 +43,12 @@ def snapshot_of(
             x_mm=state.x_mm,
             y_mm=state.y_mm,
             margin_mm=MARGIN_MM,
-            label=Label.TRUSTED_SENSOR,
+            label=_TRUSTED,
             age_ms=pose_age_ms,
+            fence=pose_fence,
         ),
         readings={
-            VariableId(name): Reading(value=value, label=Label.TRUSTED_SENSOR, age_ms=0)
+            VariableId(name): Reading(value=value, label=_TRUSTED, age_ms=0, fence=fence)
             for name, value in sorted(values.items())
         },
     )

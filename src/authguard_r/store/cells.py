@@ -21,6 +21,8 @@ _REASONS: tuple[tuple[type[Exception], Reason, str], ...] = (
     (apsw.ReadOnlyError, Reason.STORE_READ_ONLY, "the store is read-only"),
     (apsw.CorruptError, Reason.STORE_CORRUPT, "the store is corrupt"),
     (UnicodeDecodeError, Reason.STORE_CORRUPT, "the store is corrupt"),
+    (apsw.TooBigError, Reason.STORE_CORRUPT, "a value is longer than any of ours"),
+    (apsw.InterruptError, Reason.STORE_CORRUPT, "it takes longer than a file of its size can"),
     (apsw.NotADBError, Reason.STORE_CORRUPT, "the file is no store"),
     (apsw.SQLError, Reason.STORE_CORRUPT, "the store is corrupt"),
     (apsw.ConstraintError, Reason.STORE_CORRUPT, "the store is corrupt"),
@@ -55,9 +57,10 @@ def first_row(connection: apsw.Connection, query: str, values: tuple[object, ...
 
 def cells(connection: apsw.Connection, first: int, end: int) -> list[Cells]:
     """Return the log's rows from `first` to before `end`."""
-    query = "SELECT seq, record, sealed, link FROM audit WHERE seq >= ? AND seq < ? ORDER BY seq"
-    try:
-        found: Any = connection.execute(query, (first, end)).fetchall()
+    rows = "SELECT seq, record, sealed, link FROM audit"
+    query = f"{rows} WHERE seq >= ? AND seq < ? ORDER BY seq LIMIT ?"
+    try:  # one more than there can be, so that a file with a number twice is found out
+        found: Any = connection.execute(query, (first, end, end - first + 1)).fetchall()
     except UnicodeDecodeError as error:
         raise apsw.CorruptError("expected bytes, got broken text") from error
     return [(seq, blob(record), blob(sealed), blob(link)) for seq, record, sealed, link in found]

@@ -13,6 +13,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
+from pathlib import Path
 from typing import Protocol
 
 import apsw
@@ -27,6 +28,7 @@ from authguard_r.core.identifiers import Count, Digest, Positive
 from authguard_r.core.reasons import Reason
 from authguard_r.store.cells import Cells, blob, cells, first_row, held_value, store_error
 from authguard_r.store.folder import Folder
+from authguard_r.store.strangers import Meter, hold, in_order
 
 #: Kind of what a store holds about its segments: each by its name, and where they end.
 SEGMENT, MARK = "segment", "mark"
@@ -94,11 +96,20 @@ class Segments:
         folder: where they lie.
         index: which there are, in order (`read_index`).
         vfs: name of an SQLite file system, for tests that cut the power.
+        strange: anybody may have made the files (`store.strangers`).
     """
 
-    def __init__(self, folder: Folder, index: tuple[Segment, ...], *, vfs: str | None = None):
+    def __init__(
+        self,
+        folder: Folder,
+        index: tuple[Segment, ...],
+        *,
+        vfs: str | None = None,
+        strange: bool = False,
+    ) -> None:
         self.folder = folder
         self.vfs = vfs
+        self._strange = strange
         self._open: dict[str, apsw.Connection] = {}
         #: One that is being written, and one that has its name and no mark yet.
         self.writing: Writing | None = None
@@ -217,8 +228,10 @@ class Segments:
             raise _fault(self.folder, segment, "is missing")
         connection = _opened(self.folder, segment.name, segment.said, vfs=self.vfs)
         try:
+            if self._strange:
+                hold(connection, Path(self.folder.place(segment.name)))
             found = _found(connection, segment.name)
-        except (apsw.Error, UnicodeDecodeError, MalformedError) as error:
+        except (apsw.Error, UnicodeDecodeError, MalformedError, StoreError) as error:
             connection.close()
             raise _damaged(self.folder, segment, str(error)) from error
         if found.segment != segment:
@@ -262,10 +275,11 @@ def read_index(connection: apsw.Connection, folder: Folder) -> tuple[Segment, ..
     query = "SELECT key, value FROM held WHERE kind = ? AND key GLOB '[0-9]*' ORDER BY key"
     place = folder.place("")
     try:
-        held = [
-            (key, decode(blob(value), Segment, where=f"held.segment.{key}"))
-            for key, value in connection.execute(query, (SEGMENT,))
-        ]
+        held: list[tuple[str, Segment]] = []
+        meter = Meter(Path(connection.filename))
+        for key, value in connection.execute(query, (SEGMENT,)):
+            meter.took(blob(value))
+            held.append((key, decode(blob(value), Segment, where=f"held.segment.{key}")))
         mark = int(held_value(connection, SEGMENT, MARK) or b"0")
     except (MalformedError, ValueError) as error:
         raise StoreError(str(error), where=place, reason=Reason.STORE_CORRUPT) from error
@@ -282,8 +296,14 @@ def read_index(connection: apsw.Connection, folder: Folder) -> tuple[Segment, ..
 def read_forgets(connection: apsw.Connection) -> dict[int, bytes]:
     """Return what stays beside records in segments that sealed values are still to go from."""
     query = "SELECT key, value FROM held WHERE kind = ?"
-    found = [(str(seq), blob(left)) for seq, left in connection.execute(query, (FORGET,))]
-    return {int(seq): left for seq, left in found if seq.isdecimal()}
+    found: dict[int, bytes] = {}
+    meter = Meter(Path(connection.filename))
+    for key, value in connection.execute(query, (FORGET,)):
+        seq, left = str(key), blob(value)
+        meter.took(left)
+        if seq.isdecimal():
+            found[int(seq)] = left
+    return found
 
 
 def find(folder: Folder, name: str, *, vfs: str | None = None) -> Found:
@@ -294,8 +314,10 @@ def find(folder: Folder, name: str, *, vfs: str | None = None) -> Found:
     """
     connection = _opened(folder, name, "the segment", vfs=vfs)
     try:
+        if vfs is None:  # anybody may have made it
+            hold(connection, Path(folder.place(name)))
         return _found(connection, name)
-    except (apsw.Error, UnicodeDecodeError, MalformedError) as error:
+    except (apsw.Error, UnicodeDecodeError, MalformedError, StoreError) as error:
         raise StoreError(
             f"no whole segment: {error}", where=folder.place(name), reason=Reason.STORE_CORRUPT
         ) from error
@@ -310,9 +332,12 @@ def links(folder: Folder, name: str) -> list[bytes]:
         StoreError: it cannot be read.
     """
     connection = _opened(folder, name, "the segment")
+    place = Path(folder.place(name))
     try:
-        rows = connection.execute("SELECT link FROM audit ORDER BY seq")
-        return [blob(link) for (link,) in rows]
+        hold(connection, place)
+        rows = connection.execute("SELECT seq, link FROM audit ORDER BY seq")
+        plain = ((seq, b"", b"", blob(link)) for seq, link in rows)
+        return [link for _, _, _, link in in_order(plain, place)]
     except (apsw.Error, UnicodeDecodeError) as error:
         raise store_error(error, where=folder.place(name)) from error
     finally:

@@ -41,6 +41,7 @@ from authguard_r.store.segments import (
     read_forgets,
     read_index,
 )
+from authguard_r.store.strangers import in_order, open_stranger
 from authguard_r.store.turn import SqliteTurn
 
 T = TypeVar("T")
@@ -48,8 +49,8 @@ T = TypeVar("T")
 #: First SQLite without the WAL-reset corruption bug.
 _OLDEST_SQLITE = (3, 51, 3)
 _MAX_BATCH = 64
-#: Rows of a segment that are read at a time.
-_PAGE = 256
+#: Rows that are held at a time of a file that anybody may have made.
+_STRANGE = 16
 
 
 class _Ticket(Generic[T]):
@@ -74,14 +75,23 @@ class _Ticket(Generic[T]):
 class SqliteStore:
     """Registry and audit log of one robot in one file (`core.ports.Store`)."""
 
-    def __init__(self, connection: apsw.Connection, reserve: Reserve, segments: Segments) -> None:
+    def __init__(
+        self,
+        connection: apsw.Connection,
+        reserve: Reserve,
+        segments: Segments,
+        *,
+        path: Path | None = None,
+    ) -> None:
+        #: Where the file is held to be, and which one it is; None: nothing is asked of that.
+        self._path, self._file = path, None if path is None else _file_of(path)
+        self._wal: tuple[int, int] | None = None
         self._connection = connection
         self._reserve = reserve
         #: The log's oldest records; for whoever moves them, under `upkeep`.
         self.segments = segments
         self._execute = connection.cursor().execute
-        self._closed = False
-        self._lock = threading.Lock()
+        self._closed, self._lock = False, threading.Lock()
         self._pending: deque[_Ticket[object]] = deque()
         size, link = _read_head(connection)
         self._turn = SqliteTurn(connection, segments, size=size, link=link)
@@ -99,12 +109,22 @@ class SqliteStore:
         Raises:
             StoreError: nothing of the job was committed.
         """
+        if not self.is_here():
+            raise StoreError("its file was moved away", where="store")
         ticket = _Ticket(job, essential=essential)
         self._pending.append(ticket)  # type: ignore[arg-type]
         with self._lock:
             while not ticket.done:  # a full batch may be before it
                 self._commit_batch()
         return ticket.finish()
+
+    def is_here(self) -> bool:
+        """True while its file and its write-ahead log are where they were opened."""
+        if self._path is None:
+            return True
+        wal = _file_of(self._path.with_name(f"{self._path.name}-wal"))
+        self._wal = self._wal or wal  # it is there from the first commit on
+        return _file_of(self._path) == self._file and wal == self._wal
 
     def read(self, job: Callable[[Turn], T]) -> T:
         """Return what a job reads; what it puts or appends is dropped.
@@ -285,12 +305,21 @@ def open_store(
             prepare(connection, path)
             # after the lock: the folder and the ballast are its holder's
             segments = _segments(connection, folder or Folder(path), vfs=vfs)
-            return SqliteStore(connection, Reserve(path, reserve_bytes), segments)
+            here = path if vfs is None else None  # a file system of a test has files of its own
+            return SqliteStore(connection, Reserve(path, reserve_bytes), segments, path=here)
         except BaseException:
             connection.close()
             raise
     except apsw.Error as error:
         raise store_error(error, where=str(path)) from error
+
+
+def _file_of(path: Path) -> tuple[int, int] | None:
+    """Return which file is there; None: none is."""
+    with suppress(OSError):
+        found = path.stat()
+        return found.st_dev, found.st_ino
+    return None
 
 
 def read_rows(path: Path) -> Iterator[Row]:
@@ -303,11 +332,11 @@ def read_rows(path: Path) -> Iterator[Row]:
     if not path.is_file():
         raise StoreError("there is no such store", where=str(path))
     try:
-        connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
+        connection = open_stranger(path)
         try:
             require_format(connection, path)
             folder = Folder(path)
-            segments = Segments(folder, _index(connection, folder))
+            segments = Segments(folder, _index(connection, folder), strange=True)
             yield from _moved_rows(connection, segments)
             # all of them where nothing was moved: what has no business here is seen, too
             known = "WHERE seq >= ?" if segments.end else ""
@@ -315,8 +344,9 @@ def read_rows(path: Path) -> Iterator[Row]:
                 f"SELECT seq, record, sealed, link FROM audit {known} ORDER BY seq",  # noqa: S608
                 (segments.end,) if known else (),
             )
-            for seq, record, sealed, link in rows:
-                yield Row(seq, blob(record), blob(sealed), blob(link))
+            plain = ((seq, *map(blob, cells)) for seq, *cells in rows)
+            for seq, record, sealed, link in in_order(plain, path):
+                yield Row(seq, record, sealed, link)
         finally:
             connection.close()
     except (apsw.Error, UnicodeDecodeError) as error:
@@ -332,7 +362,7 @@ def read_held(path: Path, kind: str, key: str) -> bytes | None:
     if not path.is_file():
         raise StoreError("there is no such store", where=str(path))
     try:
-        connection = apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)
+        connection = open_stranger(path)
         try:
             require_format(connection, path)
             return held_value(connection, kind, key)
@@ -349,8 +379,9 @@ def _moved_rows(connection: apsw.Connection, segments: Segments) -> Iterator[Row
     left = read_forgets(connection)
     try:
         _require_copies(connection, segments)
-        for first in range(0, segments.end, _PAGE):
-            for seq, record, sealed, link in segments.rows(first, min(first + _PAGE, segments.end)):
+        for first in range(0, segments.end, _STRANGE):
+            end = min(first + _STRANGE, segments.end)
+            for seq, record, sealed, link in segments.rows(first, end):
                 yield Row(seq, record, left.get(seq, sealed), link)
     finally:
         segments.close()

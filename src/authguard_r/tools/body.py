@@ -23,8 +23,8 @@ from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.normalize import Binder
-from authguard_r.normalize.binding import Constant
 from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.expected import Expected
 from authguard_r.normalize.rebuild import call_bytes
 from authguard_r.site.model import ActionModel, Site
 from authguard_r.tools.server import CallError, Server
@@ -220,10 +220,12 @@ class ToolBody:
             if not error.sent:
                 self._is_told, outcome = before, Outcome.NOT_STARTED
         else:
-            done = answer.is_done(self._means.binder.succeeds(call))
+            done = answer.is_done(self._means.binder.expected(call))
             told, outcome = answer.told, Outcome.SUCCEEDED if done else Outcome.FAILED
             if flight.moves and (done or await self._stopped()):
                 self._is_told = self._was_told = False
+            elif flight.moves and self._means.stops:
+                outcome = Outcome.UNKNOWN  # it may move still, wherever to
         flight.end(outcome, told)
         self._changed()
         if flight.moves and self._is_told and self._means.stops:
@@ -260,9 +262,9 @@ class ToolBody:
             return False
         return bool(self._means.stops)
 
-    def _wanted(self, call: Call) -> Mapping[str, Constant]:
+    def _wanted(self, call: Call) -> Expected:
         """Return what a stop call's answer has to say, where the binding knows the call."""
         try:
-            return self._means.binder.succeeds(call)
+            return self._means.binder.expected(call)
         except MalformedError:
-            return {}
+            return Expected()

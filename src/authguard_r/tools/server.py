@@ -7,7 +7,6 @@ planner has seen. Spec page: docs/spec/adapters.md#driving
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Protocol
 
 import msgspec
@@ -15,7 +14,7 @@ from msgspec import Struct
 
 from authguard_r.client.controller import Told
 from authguard_r.core.identifiers import Digest
-from authguard_r.normalize.binding import Constant, same
+from authguard_r.normalize.expected import TEXT, Constant, Expected, Match, matches, same
 from authguard_r.wire.messages import BOUND, Kind, Result
 
 #: Longest answer that passes, in bytes; base64 makes a frame of it that the gate reads.
@@ -47,24 +46,28 @@ class Answer(Struct, frozen=True, kw_only=True):
     Args:
         is_error: it says of itself that it has failed.
         structured: its fields, by name; None when it has none.
+        text: its words, one item after the other.
         told: what the planner is told of it.
     """
 
     is_error: bool
     structured: Any = None
+    text: str = ""
     told: Told | None = None
 
-    def is_done(self, wanted: Mapping[str, Constant]) -> bool:
-        """True when it says that the tool has done its work.
-
-        Args:
-            wanted: what has to stand at which path of its fields.
-        """
-        if self.is_error:
+    def is_done(self, expected: Expected) -> bool:
+        """True when it says that the tool has done its work, and nowhere that it has not."""
+        if self.is_error or any(self._holds(*item) for item in expected.fails.items()):
             return False
-        return all(same(self._at(path), constant) for path, constant in wanted.items())
+        return all(self._holds(*item) for item in expected.succeeds.items())
+
+    def _holds(self, path: str, wanted: Constant | Match) -> bool:
+        value = self._at(path)
+        return matches(value, wanted) if isinstance(wanted, Match) else same(value, wanted)
 
     def _at(self, path: str) -> Any:
+        if path == TEXT:
+            return self.text
         value = self.structured
         for name in path.split("."):
             if not isinstance(value, dict) or name not in value:

@@ -232,6 +232,16 @@ class Attest(_Message, frozen=True, kw_only=True):
     token: bytes
 
 
+class Fence(_Message, frozen=True, kw_only=True):
+    """An event for an estimator, which answers no request: measure anew.
+
+    Args:
+        fence: what is measured after this came carries the number.
+    """
+
+    fence: Count
+
+
 class Act(StrEnum):
     """What an order is about; the token says the rest."""
 

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from authguard_r.audit.boxes import (
     ACT,
-    BOX,
     LINKS,
     OBJECT,
     PARAMS,
@@ -29,7 +28,16 @@ from authguard_r.audit.boxes import (
     classes_of,
     opened,
 )
-from authguard_r.audit.record import NONE, Entry, Record, Sealed, append, read_record, read_sealed
+from authguard_r.audit.record import (
+    BOX,
+    NONE,
+    Entry,
+    Record,
+    Sealed,
+    append,
+    read_record,
+    read_sealed,
+)
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import MalformedError

@@ -13,6 +13,7 @@ estimator speak and looks at the leases, in steps of `STEP_MS`. Nothing here is 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import socket
 from collections.abc import Awaitable, Callable
@@ -232,6 +233,7 @@ class House:
             epoch=self.clock.starts,
         )
         self.crashes = False
+        self._orders = itertools.count(1)
         self._moved_ms = self.clock.ms
         self.desk: ControllerDesk | None = None
         self._lives = 0
@@ -277,7 +279,7 @@ class House:
                 self.remote,
                 facts=self.gate.facts,
                 stopping_mm=partial(stopping_mm, profile),
-                state=lambda: self.gate.enforcer.intake.state,
+                state=lambda: self.gate.enforcer.intake.newest,
             )
             self.remote.admit_with(self.streams.admit)
         self.reader = Reader(self.site, self.binding, within_s=PATIENCE_S)
@@ -356,6 +358,8 @@ class House:
         """Send bytes of a client, and let the gate take them."""
         loop = self._runner.get_loop()
         self.do(lambda: loop.sock_sendall(guest.line, data))
+        if guest is not self.estimator and self.robot.newest_fence != self.gate.ledger.fence:
+            self.attest()  # who was told a fence measures at once
 
     def until(self, holds: Callable[[], Any]) -> Any:
         """Let real time pass until something is true: a process of its own has answered."""
@@ -432,6 +436,8 @@ class House:
 
     def attest(self) -> None:
         """Let the estimator say what it sees, when it sees something new."""
+        if self.robot.newest_fence != self.gate.ledger.fence:  # the gate has told it
+            self.robot.fence(self.gate.ledger.fence)
         token = self.robot.latest()
         if token is not None and token != self._said and self.estimator is not None:
             self._said = token
@@ -484,6 +490,7 @@ class House:
             "mission": digest_of(Tag.MISSION, self.mission),
             "nonce": b64(scenarios.random_bytes(16)),
             "expires_ms": self.clock.wall_ms() + 60_000,
+            "issued_ms": self.clock.wall_ms() + next(self._orders),  # one after the other
         }
         return sign_object(
             Command(**{**fields, **more}), Tag.COMMAND, self.signer(self.mission.issuer)
@@ -521,6 +528,7 @@ class House:
         heard = StopHeard(**{**fields, **more})
         self.do(lambda: self.service.stops.stopped(heard))
         self.pump()
+        self.attest()
 
     # what is so afterwards
 

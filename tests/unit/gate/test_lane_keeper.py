@@ -37,6 +37,7 @@ class Listener:
         self.lost: list[AuthGuardError | None] = []
         self.connections = 0
         self.silences = 0
+        self.answers = 0
         self.settled = True
 
     def stopped(self, heard: StopHeard) -> None:
@@ -45,8 +46,9 @@ class Listener:
     def lane_lost(self, why: AuthGuardError | None) -> None:
         self.lost.append(why)
 
-    def lane_silent(self) -> None:
-        self.silences += 1
+    def lane_silent(self, *, is_silent: bool) -> None:
+        self.silences += is_silent
+        self.answers += not is_silent
 
     def connected(self) -> None:
         self.connections += 1
@@ -199,7 +201,7 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
         seen.append(keeper.alive)
         await asyncio.sleep(10 * lane_keeper.ASK_S)  # several times it could have been said again
         os.kill(lane_pid(files), signal.SIGCONT)
-        await until(lambda: keeper.alive)
+        await until(lambda: keeper.alive and listener.answers == 2)  # at first, and again
         seen.append(listener.silences == 1)
         os.kill(lane_pid(files), signal.SIGKILL)
         await until(lambda: listener.lost)

@@ -84,11 +84,26 @@ def test_what_is_recorded_already_is_kept_and_not_raised_again() -> None:
     assert list(bench.liveness.alerts) == [{"what": "planner stops", "by": "u1.planner"}]
 
 
-def test_a_clock_behind_is_told_once_each_time() -> None:
+ALERTS = {
+    "in_time": "the clock is behind",
+    "has_store": "the store was moved away",
+    "controller": "controller is not connected",
+    "only_counts": "refusals are only counted: the disk is full",
+}
+
+
+@pytest.mark.parametrize("what", ALERTS)
+def test_what_lasts_is_told_once_each_time_ends_and_is_not_told_without_cause(what: str) -> None:
     bench = Bench()
-    for right in (True, False, False, True, False):
-        bench.liveness.keep_time(right=right)
-    assert bench.raised == ["the clock is behind"] * 2
+    usual = {"active": True, "controller": True}
+    wrong = what == "only_counts"
+    bench.liveness.check(**usual)
+    assert bench.raised == []
+    for is_wrong in (False, True, True, False, True):
+        bench.liveness.check(**usual | {what: is_wrong is wrong})
+        alerts = [told for told in bench.liveness.alerts if not told.get("over")]
+        assert [told["what"] for told in alerts] == [ALERTS[what]] * is_wrong
+    assert bench.raised == [ALERTS[what]] * 2
 
 
 def test_ages_are_since_the_last_word_and_nothing_for_who_never_spoke() -> None:

@@ -459,6 +459,28 @@ def test_a_long_plan_whose_planner_hung_up_is_not_read_when_its_turn_comes() -> 
         assert decided(house) == ["reject"]
 
 
+@pytest.mark.parametrize("returns", ["before its turn", "after its turn"])
+def test_a_planner_that_comes_back_while_its_long_plan_waits_gets_that_plans_answer(
+    returns: str,
+) -> None:
+    with House() as house:
+        house.activate()
+        stays, goes = planner(house, "stays"), planner(house, "llm")
+        number = house.begin(stays, FORBIDDEN + LONG)
+        house.begin(goes, SCAN + LONG, "look")
+        goes.leave()
+        if returns == "after its turn":
+            house.until(lambda: stays.answer(number))
+            house.until(lambda: not house.service._desk._plans._open)
+        back = planner(house, "llm")
+        again = house.begin(back, SCAN + LONG, "look")
+        house.until(lambda: len(house.log("decision")) == 2)
+        (step,) = house.rest(back, again)["steps"]
+        assert (step["outcome"], step["executed"]) == ("accept", True)
+        assert decided(house) == ["reject", "accept"]
+        assert house.log("refusal") == []
+
+
 def test_a_long_what_if_is_read_elsewhere_and_says_what_a_short_one_says() -> None:
     with House() as house:
         house.activate()

@@ -281,8 +281,7 @@ def test_a_plan_that_nobody_waits_for_when_its_turn_comes_is_not_read() -> None:
         await desk.until(5)
         read = [isinstance(plan, Plan) for plan in desk.taken]
         assert sorted(read) == [False, False, False, True, True]
-        gone = [plan for plan in desk.taken if isinstance(plan, AuthGuardError)]
-        assert {fault.message for fault in gone} == {"nobody waits"}
+        assert desk.taken.count(None) == 3
         assert not desk.reader._queue
 
     run(work)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.gate.recovery import WITHIN_MS
 from authguard_r.keys.trust import read_trust
+from authguard_r.running import quietly
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.frames import frame, raw_frame
@@ -120,7 +122,7 @@ def test_what_the_last_run_left_open_is_settled_before_anything_new(
             planner.ask(Kind.PROPOSE, Propose(key="k", plan=SCAN))
         elif by == "order":
             operator = house.enter(ClientRole.OPERATOR)
-            token = house.order(Verb.RESUME)
+            token = house.order(Verb.RESUME, issued_ms=house.clock.wall_ms() + 1)
             with pytest.raises(Exception, match="TRANSITION_REFUSED"):
                 operator.ask(Kind.ORDER, Order(act=Act.COMMAND, token=token))
         elif by == "what-if":
@@ -266,10 +268,14 @@ def test_a_lane_that_is_lost_is_an_alert_with_why() -> None:
         fault = EnvironmentFault("gone", reason=Reason.STORE_UNAVAILABLE, where="stop lane")
         house.do(lambda: house.service.stops.lane_lost(None))
         house.do(lambda: house.service.stops.lane_lost(fault))
+        silent = partial(house.service.stops.lane_silent, is_silent=True)
+        house.do(partial(house.service.stops.lane_silent, is_silent=False))  # it is back
+        house.do(lambda: house.service.stops.lane_lost(fault))
         alerts = list(house.service.liveness.alerts)
         assert [alert["what"] for alert in alerts] == ["the stop lane is gone"] * 2
+        assert [alert.get("over", False) for alert in alerts] == [True, False]
         assert "gone" in alerts[1]["why"]
-        house.do(house.service.stops.lane_silent)
+        house.do(silent)
         recorded = [record.open["what"] for record in house.log("alert")]
         assert recorded[-1] == "the stop lane does not answer"
 
@@ -321,7 +327,7 @@ def test_a_store_that_is_gone_does_not_end_the_listening() -> None:
         house.gate.ledger.store.close()
         house.service.view.mission_changed()
         house.do(house.service._listen)
-        house.do(house.service._flush)
+        house.do(lambda: quietly(house.gate.ledger.flush))
         house.crashes = True
 
 

@@ -14,8 +14,8 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.assembly import Simulation
-from authguard_r.audit.boxes import BOX, WRAP, DataClass
-from authguard_r.audit.record import Entry, append
+from authguard_r.audit.boxes import DataClass
+from authguard_r.audit.record import BOX, WRAP, Entry, append
 from authguard_r.audit.verify import Row
 from authguard_r.cli.replay import Replay
 from authguard_r.commands import Verb
@@ -364,7 +364,7 @@ def test_what_waited_to_be_recorded_is_destroyed_with_the_rest(path: Path) -> No
     waits = RefusalPolicy(delay_ms=100)
     with sealed_logs.sealing(path, sealed_logs.policy()) as sim:
         mission = sealed_logs.active(sim)
-        sim.gate.ledger._refusals.policy = waits
+        sim.gate.ledger.refusals.policy = waits
         scenarios.propose(sim, scenarios.navigate("dock", "nowhere"))
         sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
         scenarios.propose(sim, GO)  # of a mission that is over: waits
@@ -674,7 +674,7 @@ def test_what_is_written_at_a_missions_end_does_not_escape_it(path: Path) -> Non
     with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=MINUTE_MS))) as sim:
         mission = sealed_logs.active(sim)
         later(sim, expiry_ms(mission) - sim.gate.ledger.now().utc_ms + MINUTE_MS + 1_000)
-        sim.gate.ledger._refusals.policy = RefusalPolicy(delay_ms=100)
+        sim.gate.ledger.refusals.policy = RefusalPolicy(delay_ms=100)
         scenarios.propose(sim, GO)  # too late: waits to be recorded
         assert len(sim.gate.management.retire().begun) == 1
         finished(sim)

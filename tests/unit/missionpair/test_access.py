@@ -356,7 +356,7 @@ TOLD: tuple[dict[str, Any], ...] = (
         "hazards": [],
         "executable": False,
         "safe": True,
-        "deviation": "3/41",
+        "deviation": "1/14",
         "score": 229,
     },
 )

@@ -202,9 +202,10 @@ def test_the_question_is_what_the_page_says(tmp_path: Path) -> None:
     assert asked["effect"]["destination"] == "pharmacy"
     assert asked["robot"] == scenarios.RID
     (state,) = asked["state"]
-    assert (sorted(state), state["place"], state["age_ms"]) == (
-        ["age_ms", "place", "snapshot"],
+    assert (sorted(state), state["place"], state["age_ms"], state["fence"]) == (
+        ["age_ms", "fence", "place", "snapshot"],
         ["dock"],
+        0,
         0,
     )
 

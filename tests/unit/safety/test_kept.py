@@ -196,6 +196,7 @@ def order(sim: Simulation, verb: Verb, **more: Any) -> None:
         mission=standing.digest,
         nonce=b64(os.urandom(16)),
         expires_ms=sim.robot.wall_ms() + 60_000,
+        issued_ms=sim.robot.wall_ms() + 1,
         **more,
     )
     signer = scenarios.folder_signer(scenarios.trust_folder(), "operator-1")

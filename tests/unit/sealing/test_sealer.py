@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import BOX, SEALING, WRAP, DataClass
-from authguard_r.audit.record import Entry, Sealed, append, read_sealed
+from authguard_r.audit.boxes import SEALING, DataClass
+from authguard_r.audit.record import BOX, WRAP, Entry, Sealed, append, read_sealed
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast

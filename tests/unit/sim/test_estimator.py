@@ -75,7 +75,7 @@ def test_at_most_one_is_on_its_way_and_the_newest_wins() -> None:
     for at in (1_050, 1_100, 1_150):
         it.heard(reading(at, at="pharmacy" if at == 1_150 else "dock"), at)
         assert it.attester.due(it.seen, at) is None
-    it.attester.answered(framed(Kind.EVENT, {}))  # no answer
+    it.attester.fence(7, 1_155)  # no answer
     assert it.attester.due(it.seen, 1_160) is None
     it.attester.answered(framed(Kind.REPLY, {}))
     got = opened(it.attester.due(it.seen, 1_160))
@@ -177,3 +177,39 @@ def test_a_robot_without_an_estimator_signs_nothing_and_still_sees() -> None:
     assert later.pose.age_ms >= 300
     robot.pause(500)
     assert robot.sensed() is None
+
+
+def fences(snapshot: Snapshot) -> set[int]:
+    assert snapshot.pose is not None
+    return {snapshot.pose.fence, *(reading.fence for reading in snapshot.readings.values())}
+
+
+def test_what_was_measured_before_a_fence_does_not_carry_it() -> None:
+    it = estimator()
+    it.heard(reading(1_000), 1_000)
+    it.attester.fence(7, 1_000)  # of the same millisecond: who was first, nobody knows
+    assert fences(opened(it.attester.due(it.seen, 1_001))) == {0}
+
+
+def test_what_was_measured_after_a_fence_carries_its_number() -> None:
+    it = estimator()
+    it.attester.fence(7, 1_000)
+    it.heard(reading(1_008), 1_008)
+    assert fences(opened(it.attester.due(it.seen, 1_009))) == {7}
+
+
+def test_a_value_that_is_older_than_its_snapshot_carries_no_fence() -> None:
+    it = estimator()
+    it.attester.fence(7, 1_000)
+    it.heard(reading(1_007), 1_007)  # its pose is 7 ms older than the rest
+    got = opened(it.attester.due(it.seen, 1_008))
+    assert got.pose is not None
+    assert (got.pose.fence, got.readings["holding"].fence) == (0, 7)
+
+
+def test_a_fence_ends_with_the_connection_that_it_came_on() -> None:
+    it = estimator()
+    it.attester.fence(7, 1_000)
+    it.attester.hung_up()
+    it.heard(reading(1_050), 1_050)
+    assert fences(opened(it.attester.due(it.seen, 1_051))) == {0}

@@ -65,11 +65,17 @@ LOST = CallError("nobody answers", sent=True)
 GO, TICKET = scenarios.navigate("dock", "pharmacy"), scenarios.TICKET
 
 
-def body_of(robot: Robot, *stops: str, demand: dict[str, Any] | None = None) -> ToolBody:
-    """Return a body whose stop calls are these, of which the binding demands something."""
+def body_of(
+    robot: Robot,
+    *stops: str,
+    demand: dict[str, Any] | None = None,
+    moves: dict[str, Any] | None = None,
+) -> ToolBody:
+    """Return a body with these stop calls; of them, and of moves, the binding demands something."""
     binding = scenarios.binding()
     say = replace(binding.tools["say"], succeeds=demand or {})
-    binding = replace(binding, tools={**binding.tools, "say": say})
+    go = replace(binding.tools["navigate_to"], **(moves or {}))
+    binding = replace(binding, tools={**binding.tools, "say": say, "navigate_to": go})
     means = Means(
         site=scenarios.site(),
         binder=Binder(scenarios.site(), binding),

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from authguard_r.client.controller import Told
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
+from authguard_r.normalize.expected import TEXT, Expected, Match
 from authguard_r.tools.planner import Asked
 from authguard_r.tools.server import MAX_ANSWER, MAX_TEXT, Answer, fits
 from authguard_r.wire.messages import BOUND, Kind, Result
@@ -27,8 +29,56 @@ def test_it_is_done_when_it_says_exactly_what_is_demanded() -> None:
         ({"a": 1}, {"a.ok": True}, False),
     ]:
         with case(structured, wanted, done):
-            assert Answer(is_error=False, structured=structured).is_done(wanted) is done
-            assert not Answer(is_error=True, structured=structured).is_done(wanted)
+            assert Answer(is_error=False, structured=structured).is_done(Expected(wanted)) is done
+            assert not Answer(is_error=True, structured=structured).is_done(Expected(wanted))
+
+
+TEXTS = {
+    "failed: not armed": False,
+    "landed at home": True,
+    "  landed, battery 41.5 %\n": True,
+    "landed, battery 4.9 %": False,
+    "landed, battery 41.5 % of 100": False,  # which of the numbers is meant, nobody says
+    "not landed, battery 41.5 %": False,
+    "landed but not armed": False,
+    "landed, v1.2.3": False,
+    "": False,
+}
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_l29_a_text_in_a_success_envelope_is_matched_and_never_assumed(text: str) -> None:
+    """`succeeds` looks into the words, `fails` as well, and one failure is enough."""
+    words, battery = Match(starts_with="landed"), Match(at_least="5.0", at_most=100)
+    expected = Expected({TEXT: words}, {TEXT: Match(contains="not armed")})
+    answer = Answer(is_error=False, text=text)
+    if "battery" in text or "v1" in text:
+        assert answer.is_done(Expected({TEXT: battery})) is (TEXTS[text] or text.startswith("not"))
+        expected = Expected({TEXT: replace(words, at_least=5)}, expected.fails)
+    assert answer.is_done(expected) is TEXTS[text]
+    assert not Answer(is_error=True, text=text).is_done(expected)
+
+
+def test_l29_a_match_reads_fields_too_and_what_is_not_there_matches_nothing() -> None:
+    for value, match, holds in [
+        (5, Match(at_least=5, at_most=5), True),
+        (4.5, Match(at_least=5), False),
+        (4.5, Match(at_least="4.5"), True),
+        (float("nan"), Match(at_most=5), False),
+        (True, Match(at_least=0), False),
+        ("7", Match(at_least=7), True),
+        ("seven", Match(at_least=7), False),
+        (" done ", Match(equals="done"), True),
+        ("done?", Match(equals="done"), False),
+        (["done"], Match(contains="done"), False),
+        (None, Match(contains="d"), False),
+        (10**400, Match(at_most=5), False),
+    ]:
+        with case(value, match):
+            structured = {} if value is None else {"a": value}
+            answer = Answer(is_error=False, structured=structured)
+            assert answer.is_done(Expected({"a": match})) is holds
+            assert answer.is_done(Expected({}, {"a": match})) is not holds
 
 
 def test_what_is_too_long_does_not_pass() -> None:

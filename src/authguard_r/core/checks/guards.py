@@ -35,9 +35,7 @@ def guard_finding(
     """
     field = f"state.{guard.variable}"
     reading = state.snapshot.readings.get(guard.variable) if state is not None else None
-    unfit = unfit_finding(
-        field, reading, state=state, rid=rid, now=now, max_age_ms=guard.max_age_ms
-    )
+    unfit = unfit_finding(field, reading, state, rid=rid, now=now, max_age_ms=guard.max_age_ms)
     if unfit is not None or reading is None:
         return unfit
     if _holds(guard, reading.value):
@@ -50,8 +48,8 @@ def guard_finding(
 def unfit_finding(
     field: str,
     reading: Reading | Pose | None,
-    *,
     state: AttestedState | None,
+    *,
     rid: RobotId,
     now: Now,
     max_age_ms: int,
@@ -63,6 +61,9 @@ def unfit_finding(
         return Finding(field, Reason.STATE_MISSING, "an attested value", "none")
     if reading.label is not Label.TRUSTED_SENSOR:
         return Finding(field, Reason.STATE_UNTRUSTED, Label.TRUSTED_SENSOR, reading.label)
+    if reading.fence < state.fence:
+        wanted, got = f"at least fence {state.fence}", f"fence {reading.fence}"
+        return Finding(field, Reason.STATE_BEFORE_MOTION, wanted, got)
     age = age_ms(state, reading, now)
     if not 0 <= age <= max_age_ms:
         return Finding(field, Reason.STATE_STALE, f"at most {max_age_ms} ms old", f"{age} ms")

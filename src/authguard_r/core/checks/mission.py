@@ -138,14 +138,8 @@ def check_ceilings(case: Case) -> Findings:
     for parameter, limit in verified.limits.items():
         value = action.params.get(parameter, limit.low)
         if not limit.low <= value <= limit.high:
-            found.append(
-                Finding(
-                    f"params.{parameter}",
-                    Reason.PARAMETER_OUT_OF_BOUNDS,
-                    f"{limit.low} to {limit.high} in this mission",
-                    str(value),
-                )
-            )
+            field, expected = f"params.{parameter}", f"{limit.low} to {limit.high} in this mission"
+            found.append(Finding(field, Reason.PARAMETER_OUT_OF_BOUNDS, expected, str(value)))
     return tuple(found)
 
 

@@ -43,7 +43,7 @@ def place_findings(
     the robot is not in the other one.
     """
     pose = state.snapshot.pose if state is not None else None
-    unfit = unfit_finding("state.pose", pose, state=state, rid=rid, now=now, max_age_ms=max_age_ms)
+    unfit = unfit_finding("state.pose", pose, state, rid=rid, now=now, max_age_ms=max_age_ms)
     if unfit is not None:
         return (unfit,)
     place = state.place if state is not None else frozenset[RegionId]()

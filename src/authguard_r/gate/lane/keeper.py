@@ -51,8 +51,8 @@ class Listener(Protocol):
         """Say that no stop is heard of."""
         ...
 
-    def lane_silent(self) -> None:
-        """Say that the lane is connected and does not answer."""
+    def lane_silent(self, *, is_silent: bool) -> None:
+        """Say whether the lane, which is connected, does not answer; told when that changes."""
         ...
 
 
@@ -129,6 +129,7 @@ class LaneKeeper:
     async def _watch(self, listener: Listener, lost: asyncio.Event) -> None:
         """Ask the lane whether it is there, again and again, until the connection is lost."""
         self._asked_s, is_told = None, False
+        listener.lane_silent(is_silent=False)
         while not lost.is_set():
             if self._asked_s is None:  # one question at a time: a lane that hangs gets no heap
                 self._asked_s = time.monotonic()
@@ -137,8 +138,8 @@ class LaneKeeper:
                 async with asyncio.timeout(ASK_S):  # `wait_for` can lose a cancellation (3.11)
                     await lost.wait()
             is_silent = not (self.alive or lost.is_set())
-            if is_silent and not is_told:
-                listener.lane_silent()
+            if is_silent is not is_told:
+                listener.lane_silent(is_silent=is_silent)
             is_told = is_silent
 
     def _answered(self) -> None:

@@ -145,7 +145,7 @@ class RosBody:
             key, call = self._rebuilt(action)
             outlet = self.outlets[key]
             message = self._message(key, call)
-            wanted = self._means.binder.succeeds(call)
+            wanted = self._means.binder.expected(call)
         except MalformedError as error:
             raise ControllerError(f"{error.message} at `{error.where}`") from error
         if not outlet.is_there:

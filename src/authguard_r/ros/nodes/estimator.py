@@ -48,6 +48,8 @@ from authguard_r.wire.frames import Frame
 RATE_HZ = 20
 MAX_RATE_HZ = 200
 SPEED = VariableId("speed_mm_s")
+#: The fastest message of a localization may have taken so long on its way, in milliseconds.
+PATH_MS = 250
 #: What rounding to whole millimeters adds to the margin.
 _ROUNDED_MM = 1
 
@@ -121,7 +123,7 @@ class Estimate:
         snapshot = Snapshot(
             robot=self._robot, epoch=0, seq=0, pose=pose, readings={**readings, SPEED: speed}
         )
-        return Seen(snapshot, now_ms)
+        return Seen(snapshot, now_ms, PATH_MS)
 
 
 def located(ros: RosMap, site: Site) -> Position:

@@ -8,7 +8,7 @@ Spec page: docs/spec/ros.md#driving
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from msgspec import Struct
@@ -16,7 +16,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.standing import Outcome
-from authguard_r.normalize.binding import Constant
+from authguard_r.normalize.expected import Expected
 from authguard_r.ros.nodes.loop import Spinner
 from authguard_r.ros.nodes.releases import Release
 from authguard_r.ros.nodes.values import plain_of
@@ -62,7 +62,7 @@ class Order(Struct, frozen=True, kw_only=True):
     release: Release
     message: Any
     moves: bool
-    wanted: Mapping[str, Constant]
+    wanted: Expected
     duration_ms: int = 0
 
 

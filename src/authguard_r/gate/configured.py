@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a gate is started with, held against what its store has seen before.
+
+Spec page: docs/spec/gate-protocol.md#configuration
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from authguard_r.audit.record import NONE
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.management import Management
+from authguard_r.management.configurations import Configuration, Part
+from authguard_r.normalize.binding import binding_digest
+from authguard_r.safety import safety_digest
+
+if TYPE_CHECKING:
+    from authguard_r.gate.process import Parts
+
+
+def hold_configured(parts: Parts, management: Management) -> None:
+    """Hold what is in force: nothing signed goes back, and each change is recorded.
+
+    Raises:
+        RefusedError: a signed part is older than one that was in force here.
+    """
+    management.hold_policy(parts.risk)
+    config, safety, emergency = parts.config, parts.safety, Configuration(digest=NONE)
+    if parts.emergency is not None:
+        opened = parts.emergency.policy
+        emergency = Configuration(digest=opened.digest, version=opened.policy.version)
+    management.hold_configurations(
+        {
+            Part.BINDING: Configuration(digest=binding_digest(parts.binding)),
+            Part.EMERGENCY: emergency,
+            Part.GATE: Configuration(digest=digest_of(Tag.GATE, config), version=config.version),
+            Part.SAFETY: Configuration(digest=safety_digest(safety), version=safety.version),
+        },
+        sealed={Part.SAFETY: {"safety": safety}},
+    )

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What both gates would say of a step now, and steps that wait while newer state may change that.
+
+Nothing is recorded, consumed or released here. Spec page: docs/spec/state.md#fences
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from msgspec import Struct
+
+from authguard_r.assembly import Gate
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.reasons import Reason
+from authguard_r.core.safety import Hazard
+from authguard_r.enforcement import attested_source, evaluate
+from authguard_r.normalize import Step
+from authguard_r.report import Judged, behind_of
+from authguard_r.running import quietly
+from authguard_r.safety.kept import memory_of
+
+#: What newer state can mend: what is not known, and what follows from it. A place that is not
+#: known is no source either.
+_MENDED = frozenset(
+    {
+        Reason.STATE_BEFORE_MOTION,
+        Reason.SOURCE_OUT_OF_SCOPE,
+        Reason.DESTINATION_OUT_OF_SCOPE,
+        Reason.PROVENANCE_DENIED,
+        Reason.APPROVAL_REQUIRED,
+        Reason.APPROVAL_TIMEOUT,
+    }
+)
+
+
+#: What the second gate says for want of newer state.
+_UNKNOWN = frozenset({Hazard.STATE_UNKNOWN, Hazard.NOT_EXECUTABLE})
+
+
+class _Held(Struct, frozen=True):
+    step: Step
+    until_ms: int
+    go_on: Callable[[int], None]
+
+
+class Foresight:
+    """Asks both gates without any effect, and keeps steps for which newer state is awaited.
+
+    Args:
+        gate: enforcer, ledger, safety.
+        wait_ms: a step waits so long at most.
+    """
+
+    def __init__(self, gate: Gate, *, wait_ms: int) -> None:
+        self._gate = gate
+        self._wait_ms = wait_ms
+        self._held: list[_Held] = []
+        self._seen: object = None
+        self._is_closed = False
+
+    def holds(self, step: Step, until_ms: int | None, go_on: Callable[[int], None]) -> bool:
+        """Keep a step that would be refused for want of newer state; True when it is kept.
+
+        Args:
+            step: what is to be decided.
+            until_ms: it is decided then in any case; None: it has not waited yet.
+            go_on: called once with that, when newer state has come or the time is over.
+        """
+        now_ms = self._gate.ledger.mono_ms()
+        until = now_ms + self._wait_ms if until_ms is None else until_ms
+        if self._is_closed or now_ms >= until or not self._is_early(step):
+            return False
+        self._held.append(_Held(step, until, go_on))
+        return True
+
+    def close(self) -> None:
+        """Let no step wait any more: the gate ends."""
+        self._is_closed = True
+        held, self._held = self._held, []
+        for item in held:
+            item.go_on(item.until_ms)
+
+    def look(self) -> None:
+        """Let every step go on once there is other state than before, or its time is over."""
+        if not self._held:
+            return
+        ledger, intake = self._gate.ledger, self._gate.enforcer.intake
+        quietly(intake.refresh)
+        newest, now_ms = (intake.newest, ledger.fence), ledger.mono_ms()
+        is_new, self._seen = newest != self._seen, newest
+        held, self._held = self._held, []
+        for item in held:
+            if is_new or now_ms >= item.until_ms:
+                item.go_on(item.until_ms)
+            else:
+                self._held.append(item)
+
+    def judge(self, step: Step) -> Judged:
+        """Return what both gates would say of a step, on the newest state.
+
+        Raises:
+            AuthGuardError: there is no mission to ask about, or the clock is behind.
+        """
+        gate, intake = self._gate, self._gate.enforcer.intake
+        state = intake.refresh()
+        verified = gate.ledger.run(intake.active_mission)
+        standing = gate.ledger.standing(verified.mission.mid)
+        remembered = partial(memory_of, standing=standing)
+        return evaluate(
+            verified,
+            attested_source(step, state),
+            state=state,
+            facts=gate.facts,
+            now=gate.ledger.now(),
+            standing=standing,
+            safety=gate.safety.recall(gate.ledger.peek(remembered)),
+        )
+
+    def _is_early(self, step: Step) -> bool:
+        """True while state from after the last motion is all that an acceptance lacks.
+
+        A value from before it makes a guard or a place unknown, and a risk higher. What else is
+        wrong with a step, no state mends; whatever goes wrong here, the decision itself says.
+        """
+        gate, intake = self._gate, self._gate.enforcer.intake
+        try:
+            state = intake.refresh()
+            behind = behind_of(state)
+            if not behind:
+                return False
+            judged = self.judge(step)
+        except AuthGuardError:
+            return False
+        reasons, safety = judged.decision.reasons, judged.safety
+        if not reasons:
+            unsafe = () if safety is None or safety.safe else safety.findings
+            return bool(unsafe) and {finding.hazard for finding in unsafe} <= _UNKNOWN
+        policies = (judged.verified.mission.risk_policy, *gate.facts.risk)
+        risky = {one.guard.variable for policy in policies for one in policy.states}
+        rests = Reason.STATE_BEFORE_MOTION in reasons or not risky.isdisjoint(behind)
+        return rests and bool(reasons) and set(reasons) <= _MENDED

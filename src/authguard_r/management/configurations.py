@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a gate is configured with, over time: no version goes back, and each change is recorded.
+
+Spec page: docs/spec/gate-protocol.md#configuration
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from msgspec import Struct
+
+from authguard_r.audit.record import NONE, read_record
+from authguard_r.core.encoding import encode_fast
+from authguard_r.core.identifiers import Count
+from authguard_r.core.reasons import Reason
+from authguard_r.ledger import Act, read_held
+from authguard_r.management.parts import entry, refuse
+
+_KIND = "configuration"
+
+
+class Part(StrEnum):
+    """What is configured; the organization's risk policy has a rule of its own (`policy`)."""
+
+    BINDING = "binding"
+    EMERGENCY = "emergency"
+    GATE = "gate"
+    SAFETY = "safety"
+
+
+class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One part of a gate's configuration.
+
+    Args:
+        digest: of what was signed, or is in force unsigned; "-": there is none.
+        version: its signed version; 0 where it is not signed or has none.
+    """
+
+    digest: str
+    version: Count = 0
+
+
+def hold_configurations(
+    act: Act, parts: dict[Part, Configuration], *, sealed: dict[Part, dict[str, object]]
+) -> None:
+    """Hold what is in force from now on; what has changed since the last start is recorded.
+
+    Args:
+        act: the act.
+        parts: what is in force.
+        sealed: values that go beside the record of a part's change: what a replay needs of it.
+
+    Raises:
+        RefusedError: a signed part has a lower version than one that was in force here, or the
+            same version with another content (`SUPERSEDED`); nothing was changed.
+    """
+    for part, now in sorted(parts.items()):
+        held = act.get(_KIND, part)
+        seen = None if held is None else read_held(held, Configuration, _KIND)
+        if now == seen:
+            continue
+        if seen is not None:
+            _require_newer(part, now, seen)
+        was = _begun_with(act, part) if seen is None else seen.digest
+        if was not in {now.digest, None}:
+            opened: dict[str, object] = {
+                "verb": "configuration",
+                "part": part,
+                "version": now.version,
+                "digest": now.digest,
+                "was": was,
+            }
+            act.record(entry(act, NONE, opened, sealed.get(part)))
+        act.put(_KIND, part, encode_fast(now))
+
+
+def _begun_with(act: Act, part: Part) -> str | None:
+    """Return what the log's first record names of a part; None: it names no such part, ever.
+
+    A store that was made without a gate, or by an older version, names another one or none.
+    """
+    if part not in {Part.BINDING, Part.SAFETY}:
+        return None
+    (first,) = act.rows(0, 1)
+    return str(read_record(first[1], where="record 0").open.get(part, NONE))
+
+
+def _require_newer(part: Part, now: Configuration, seen: Configuration) -> None:
+    """Refuse to go back; what was never versioned may change, and is recorded."""
+    if now.version > seen.version or now.version == seen.version == 0:
+        return
+    if now.version == seen.version:
+        told = f"version {seen.version} was another one before: a change is a new version"
+    else:
+        got = f"version {now.version}" if now.version else "none that is signed"
+        told = f"expected version {seen.version} or later, got {got}"
+    raise refuse(Reason.SUPERSEDED, told, f"{part}.version")
