@@ -47,6 +47,8 @@ def main(arguments: list[str]) -> int:
     if sys.version_info < (3, 11):
         print("Python 3.11 or newer is needed; this is", sys.version.split()[0])
         return 2
+    # tests start hundreds of processes: what they import is compiled once
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     setup()
     return TASKS[arguments[0]](arguments[1:])
 

@@ -9,7 +9,10 @@ group is not), `complete` (not in the default run), `nightly` (only at night).
 from __future__ import annotations
 
 import os
+from functools import cache
 from importlib.util import find_spec
+from itertools import compress
+from operator import not_
 from pathlib import Path
 
 import pytest
@@ -71,13 +74,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect what the run does not contain."""
     run = config.getoption("run")
-    kept = [item for item in items if _runs(item, _owner(config, item.path), run)]
-    dropped = [item for item in items if item not in set(kept)]
-    if dropped:
-        config.hook.pytest_deselected(items=dropped)
-        items[:] = kept
+    runs = [_runs(item, _owner(config, item.path), run) for item in items]
+    if not all(runs):
+        config.hook.pytest_deselected(items=[*compress(items, map(not_, runs))])
+        items[:] = [*compress(items, runs)]
 
 
+@cache
 def _owner(config: pytest.Config, path: Path) -> Group:
     groups = config.stash[_GROUPS]
     found = groups.owner(path.relative_to(config.rootpath).as_posix())

@@ -4,8 +4,8 @@
 import { createHash, createPublicKey, verify } from "node:crypto";
 import { createReadStream, readFileSync } from "node:fs";
 import { parseArgs } from "node:util";
-class Broken extends Error {}
-const need = (holds, message) => { if (!holds) throw new Broken(message); };
+import { gone, note as noteMissing } from "./missing.mjs";
+const need = (holds, message) => { if (!holds) throw new Error(message); };
 const sha = (...parts) => createHash("sha256").update(Buffer.concat(parts.map((p) => Buffer.from(p)))).digest();
 const digest = (tag, text) => sha(`authguard-r/${tag}/1\0`, text);
 const url64 = (bytes) => bytes.toString("base64url");
@@ -30,23 +30,9 @@ const fields = (value, names, what) => {
   need(Object.keys(value).sort().join() === names.join(), `${what} has other fields`);
 };
 
-// values that lie beside no record any more; an order to destroy explains what lay in boxes before it
-const [gone, OPEN] = [new Map(), ["now", "site", "safety", "policy", "list"]];
-function miss({ link, committed, kind, open }, sealed) {
-  const boxed = Object.keys(committed).some((name) => name.startsWith("box."));
-  const lost = Object.keys(committed).filter((name) => !Object.hasOwn(sealed, name));
-  for (const name of lost.filter((one) => !boxed || /^(box|wrap)\./.test(one) || OPEN.includes(one))) gone.set(`${link.mid} ${name}`, link.seq);
-  if (kind !== "management" || link.decision !== "shred" || !Array.isArray(open.classes)) return;
-  for (const key of gone.keys()) {
-    const [mid, data] = key.split(/ (?:box|wrap)\./);
-    if (data && mid === open.of && data.split("+").some((one) => open.classes.includes(one))) gone.delete(key);
-  }
-}
-
 // one row: canonical bytes, place in the chain, evidence, link, commitments
-function checkRow(row, seq, prev) {
+function checkRow(row, seq, prev, signed) {
   fields(row, ["link", "record", "sealed", "seq"], "the line");
-  need(["link", "record", "sealed"].every((name) => typeof row[name] === "string"), "the line holds no text");
   const record = parsed(row.record, "the record");
   fields(record, ["committed", "kind", "link", "open"], "the record");
   fields(record.link, LINK, "the link");
@@ -66,7 +52,7 @@ function checkRow(row, seq, prev) {
     const expected = url64(digest("commitment", canonical({ name, salt: item.salt, value: item.value })));
     need(Object.hasOwn(committed, name) && committed[name] === expected, `the value ${name} does not match its commitment`);
   }
-  miss(record, sealed);
+  noteMissing(record, sealed, signed);
   return own;
 }
 
@@ -81,8 +67,8 @@ function readKey(text) {
   const raw = Buffer.from(encoded ?? "", "base64");
   need(raw.length === 33 && (raw[0] === 1 || raw[0] === 4), `no Ed25519 verifier key: ${text}`);
   need(sha(`${name}\n`, raw).subarray(0, 4).toString("hex") === id, `the id of ${name} is another key's`);
-  const spki = Buffer.concat([Buffer.from("302a300506032b6570032100", "hex"), raw.subarray(1)]);
-  return { name, id, type: raw[0], raw: url64(raw.subarray(1)), key: createPublicKey({ key: spki, format: "der", type: "spki" }) };
+  const x = url64(raw.subarray(1));
+  return { name, id, type: raw[0], raw: x, key: createPublicKey({ key: { kty: "OKP", crv: "Ed25519", x }, format: "jwk" }) };
 }
 
 // a signed note: which of the keys signed it; a known key's signature that does not hold refuses all
@@ -107,13 +93,12 @@ function signers(note, keys) {
 function readCheckpoint(note, keys, witnesses, quorum) {
   const { text, found } = signers(note, [...keys, ...witnesses]);
   const [origin, size, root, ...more] = text.slice(0, -1).split("\n");
-  need(origin && root && more.every(Boolean) && /^(0|[1-9]\d{0,15})$/.test(size), "the note is no checkpoint");
+  const chains = more.filter((line) => line.startsWith("chain "));
+  need(origin && root && more.every(Boolean) && chains.length <= 1 && /^(0|[1-9]\d{0,15})$/.test(size), "the note is no checkpoint");
   const own = keys.filter((key) => key.name === origin && key.type === 1);
   need(own.length > 0 && own.every((key) => found.has(key)), `the checkpoint of ${origin} is not signed by the key`);
   const cosigned = new Set(witnesses.filter((key) => key.type === 4 && found.has(key)).map((key) => key.raw)).size;
   need(cosigned >= quorum, `${cosigned} of ${quorum} witnesses have cosigned`);
-  const chains = more.filter((line) => line.startsWith("chain "));
-  need(chains.length <= 1, "the note is no checkpoint");
   return { size: Number(size), root, chain: chains[0]?.slice(6), by: quorum > 0 ? "witnessed" : "checkpoint" };
 }
 
@@ -140,15 +125,12 @@ async function main() {
   need(note || !keys.length, "there is no checkpoint that the key could have signed");
   const known = keys.length ? readCheckpoint(note, keys, witnesses, Number(values.quorum ?? witnesses.length)) : null;
   let [prev, peaks] = [Buffer.alloc(32), []];
-  const fits = () => {
-    if (known?.size !== size) return;
-    const [root, chain] = [rootOf(peaks).toString("base64"), prev.toString("base64")];
-    need(known.root === root && [undefined, chain].includes(known.chain), "not the records that were signed");
-  };
+  const same = () => known.root === rootOf(peaks).toString("base64") && [undefined, prev.toString("base64")].includes(known.chain);
+  const fits = () => need(known?.size !== size || same(), "not the records that were signed");
   fits(size = 0);
   for await (const line of linesOf(path)) {
     if (size === rows) break;
-    prev = checkRow(parsed(line, "the line"), size, prev);
+    prev = checkRow(parsed(line, "the line"), size, prev, known?.size ?? Infinity);
     fits(grow(peaks, size++, prev));
   }
   need(!known || known.size <= size, `expected the ${known?.size} signed records: the log is cut off`);

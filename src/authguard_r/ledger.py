@@ -99,7 +99,8 @@ class Ledger:
         self._high = Now(since_ms, 0)
         self._behind = False
         self.snapshot = (-1, -1)
-        #: The log's size after the last record of a motion's end; it never goes back.
+        #: Raised at each end of a motion. It begins with the time of the start in ms, so it is
+        #: greater than every number that a gate gave before on this store.
         self.fence = 0
         self._fenced: Callable[[int], None] = lambda _: None
         self._fencing = threading.Lock()
@@ -130,6 +131,7 @@ class Ledger:
             )
         if self._behind:  # it has caught up: the time that it was wrong for is not added to it
             self._behind, self._high = False, Now(self._high.utc_ms, mono)
+            self.raise_fence(wall)  # a start before it had no time of its own
         return Now(max(wall, self._high.utc_ms + mono - self._high.mono_ms), mono)
 
     def run(self, job: Callable[[Act], T], *, essential: bool = False) -> T:
@@ -183,14 +185,10 @@ class Ledger:
         self._fenced = call
         call(self.fence)
 
-    def raise_fence(self, size: int = 0) -> None:
-        """Ask for state from now on: a motion has ended.
-
-        Args:
-            size: of the log with its record; 0: it could not be recorded.
-        """
+    def raise_fence(self, at_ms: int = 0) -> None:
+        """Ask for state from now on: a motion has ended, or a time has come that nobody knew."""
         with self._fencing:
-            self.fence = max(self.fence + 1, size)
+            self.fence = max(self.fence + 1, at_ms)
             self._fenced(self.fence)
 
     def _marks(self, now: Now) -> bytes:
@@ -355,7 +353,8 @@ class Ledger:
             )
         elif turn.get("log", "place") != _place(genesis):
             self._move(turn, genesis, inputs)
-        self.fence = turn.head()[0]  # nobody knows what the robot did while no gate ran
+        # nobody knows what the robot did while no gate ran: more than was ever given before
+        self.fence = self.last_ms() + turn.head()[0] + 1
 
     def _move(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         """Record that the gate has another site or profile now: later decisions are made on it."""

@@ -298,7 +298,7 @@ class Page:
         salts: returns that many fresh random bytes.
         marks: what every record says in its open part.
         sealer: seals fields of what is written; None: nobody does.
-        fence: told the log's size after a record that ends a motion, before it is committed.
+        fence: called after a record that ends a motion, before it is committed.
     """
 
     def __init__(
@@ -309,7 +309,7 @@ class Page:
         marks: dict[str, str],
         sealer: LogSealer | None,
         *,
-        fence: Callable[[int], None],
+        fence: Callable[[], None],
     ) -> None:
         self.turn = turn
         self._fence = fence
@@ -354,7 +354,7 @@ class Page:
         else:
             seq = append(self.turn, entry, salts=self.salts(16 * len(entry.sealed)))
         if ends_motion(entry.kind, entry.decision):
-            self._fence(seq + 1)
+            self._fence()
         return seq
 
 

@@ -81,6 +81,7 @@ class Stopping:
                 self._ledger.raise_fence()
         else:
             quietly(lambda: self._ledger.refuse(entry, fold=(by, _OVER, "stop")))
+            self._ledger.raise_fence()  # the log may hear of it later, or of its count alone
         self._owed = self._owed or suspends
         self.settle()
         return counted is _Count.ALERT

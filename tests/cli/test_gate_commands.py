@@ -461,7 +461,8 @@ def test_only_a_denied_role_is_tried_again_as_another(shell: Shell) -> None:
 
 def test_stop_with_a_store_records_there_and_reaches_no_gate(shell: Shell, token: str) -> None:
     assert shell("mission", "activate", token, *ON, "--new")[0] == 0
-    assert shell.json("stop", *ON) == (0, {"stopped": True, "by_gate": False})
+    told = {"stopped": False, "recorded": True, "by_gate": False}
+    assert shell.json("stop", *ON) == (5, told)
     records = shell.json("audit", "show", "r.db")[1]["records"]
     assert [r["kind"] for r in records][-2:] == ["stop", "management"]
     assert shell("stop", "--store", "r.db")[0] == 2

@@ -8,12 +8,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from authguard_r.audit.record import Entry, append, read_record
 from authguard_r.cli import call
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_show import _WAITING, Timeline
+from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
 from authguard_r.store.sqlite import open_store, read_rows
 from fixtures import scenarios, shadow_logs, templates
@@ -99,6 +101,56 @@ def test_a_timeline_says_who_what_from_where_to_where_and_how_it_ended(log: Log)
     # one column for each, in every line
     assert {line.index("2026") if "2026" in line else line.index("20") for line in lines} == {6}
     assert {lines[n].index("deliver-p1") for n in range(1, LAST)} == {lines[1].index("deliver-p1")}
+
+
+@pytest.fixture
+def unsafe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Log:
+    """A log of one action that the mission grants and the safety gate refused, and a safe one."""
+    near = msgspec.structs.replace(scenarios.world(), human_distance_mm=500)
+    sim = scenarios.simulation(start=near, store=tmp_path / "robot.db")
+    sim.gate.management.activate(scenarios.token())
+    assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome is None
+    scenarios.propose(sim, Action(type="scan_obstacles", tool="lidar"))
+    sim.gate.close()
+    return Log(tmp_path / "robot.db", capsys)
+
+
+def test_an_action_that_the_safety_gate_alone_refused_is_shown_as_unsafe(unsafe: Log) -> None:
+    """The authorization gate said `accept`; a reader is told what both gates say together."""
+    _, told = unsafe.json("show", "--kind", "decision")
+    refused, released = told["records"]
+    assert (refused["link"]["decision"], released["link"]["decision"]) == ("accept", "accept")
+    assert refused["open"]["safety"]["hazards"] == ["HUMAN_PROXIMITY"]
+    assert (refused["verdict"], released["verdict"]) == ("unsafe", "accept")
+    _, text = unsafe("show", "--kind", "decision")
+    first, second = text.splitlines()
+    assert " unsafe " in first
+    assert first.endswith(": HUMAN_PROXIMITY")
+    assert " accept " not in first
+    assert " accept " in second
+
+
+def test_the_refused_include_what_the_safety_gate_alone_refused(unsafe: Log) -> None:
+    _, told = unsafe.json("show", "--kind", "decision")
+    refused = told["records"][0]["seq"]
+    assert unsafe.shown("--refused") == [refused]
+    assert unsafe.shown("--reason", "HUMAN_PROXIMITY") == [refused]
+    code, explained = unsafe.json("explain", refused)
+    assert (code, explained["verdict"]) == (0, "unsafe")
+
+
+def test_verify_says_whose_log_it_is(log: Log) -> None:
+    """A log that is whole may be another robot's, gate's or site's."""
+    code, told = log.json("verify")
+    whose = told["log"]
+    assert code == 0
+    assert (whose["robot"], whose["gate"]) == ("courier-1", "gate-courier-1")
+    assert whose["site"] == scenarios.site().id
+    code, text = log("verify")
+    (line,) = [line for line in text.splitlines() if line.startswith("log of ")]
+    assert code == 0
+    for name in ("robot", "gate", "site", "root"):
+        assert f"{name} {whose[name]}" in line
 
 
 def test_the_shape_of_a_shown_log_is_what_it_was(log: Log) -> None:

@@ -295,3 +295,34 @@ def test_the_first_hour_from_a_list_to_a_question(shell: Shell, tmp_path: Path) 
     assert told["tools"][0]["unknown"] == {"room": {"Ward 3": 1}}
     check = ["binding", "check", "d/learned/binding.proposed.yaml", "--site", "d/site.yaml"]
     assert shell(*check, "--interface", "d/interface.yaml", "--strict")[0] == 0
+
+
+# binding check
+
+
+@pytest.mark.parametrize("looks_at", ["", "succeeds: {$text: {starts_with: arrived}}"])
+def test_a_check_warns_of_a_moving_tool_whose_answer_nobody_looks_into(
+    shell: Shell, tmp_path: Path, looks_at: str
+) -> None:
+    text = f"""
+schema: authguard-r/binding/1
+id: test
+tools:
+  go:
+    type: navigate
+    tool: base
+    attested: [source]
+    fixed: {{params.speed_mm_s: 500}}
+    monitored: [params.speed_mm_s]
+    arguments: {{place: {{use: mapped, to: destination}}}}
+    {looks_at}
+"""
+    (tmp_path / "binding.yaml").write_text(text)
+    code, told = shell.json("binding", "check", "binding.yaml")
+    assert (code, told["faults"]) == (0, [])
+    assert told["assumed"] == ([] if looks_at else ["tools.go"])
+    code, out = shell("binding", "check", "binding.yaml")
+    warnings = [line for line in out.splitlines() if line.startswith("warning: ")]
+    assert code == 0
+    assert len(warnings) == len(told["assumed"])
+    assert all("`succeeds` or `fails`: tools.go" in line for line in warnings)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from authguard_r.cli import call
 from authguard_r.core.identifiers import (
@@ -31,7 +32,7 @@ from authguard_r.safety import (
     safety_digest,
 )
 from authguard_r.safety.config import Executable
-from authguard_r.site.model import profile_digest
+from authguard_r.site.model import Site, profile_digest
 from authguard_r.site.source import read_site, read_yaml
 from fixtures import scenarios
 
@@ -94,8 +95,13 @@ def site_without(*kinds: str) -> dict[str, Any]:
     return dict(plain)
 
 
+def envelope_of(site: Site) -> SafetyConfig:
+    """Return the robot's own envelope as a form offers it: under the site's version."""
+    return replace(default_config(site, scenarios.RID), version=site.version)
+
+
 def test_what_is_made_and_signed_is_the_robots_own_envelope(shell: Shell) -> None:
-    own = default_config(scenarios.site(), scenarios.RID)
+    own = envelope_of(scenarios.site())
     code, made = shell.json(*MAKE)
     assert (code, made["digest"]) == (0, safety_digest(own))
     code, signed = shell.json(*signing(), "--trust", "trust")
@@ -112,7 +118,7 @@ def test_what_is_left_out_or_empty_is_the_robots_own_and_shown(shell: Shell) -> 
         Path("s.yaml").write_text(SOUND + left_out)
         code, shown = shell(*signing())
         assert code == 0
-        assert opened() == default_config(scenarios.site(), scenarios.RID)
+        assert opened() == envelope_of(scenarios.site())
         assert shown.splitlines()[:-2] == made.splitlines()[:-1]
         assert "  keeps out of plant-room\n" in shown
         assert "  unlike the robot's own envelope: nothing\n" in shown
@@ -334,7 +340,7 @@ def test_what_is_made_says_what_it_means_whatever_things_are_called(shell: Shell
         "go": {"moves": True, "fields": []},
     }
     Path("odd.yaml").write_text(json.dumps(plain))
-    own = default_config(read_site(Path("odd.yaml")), scenarios.RID)
+    own = envelope_of(read_site(Path("odd.yaml")))
     assert (own.paced, own.in_place) == ({"go": 1500}, ("clean",))
     assert shell(*MAKE, "--site", "odd.yaml")[0] == 0
     assert shell(*signing(site="odd.yaml"))[0] == 0

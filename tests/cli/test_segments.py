@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from conformance.test_vectors_log import NODE, VERIFIER, needs_node
 from fixtures import scenarios
 from fixtures.segmented_stores import fill
 from fixtures.small_witness import log_keys
+from unit.test_strangers import ENDLESS, MOST_KIB, SOON_S
 
 GO = scenarios.navigate("dock", "pharmacy")
 SCAN = "scan_obstacles"
@@ -43,7 +46,7 @@ def made(path: Path) -> None:
     signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
     checkpoints = Checkpoints(sim.gate.ledger, robot=scenarios.RID, signer=signer)
     fill(store, SIZE - 1 - store.read(lambda turn: turn.head())[0])
-    sim.gate.ledger.raise_fence(SIZE - 1)  # those records came past the ledger
+    sim.gate.ledger.raise_fence(sim.gate.ledger.fence + SIZE)  # those came past the ledger
     checkpoints.make()
     rotation = Rotation(
         sim.gate.ledger,
@@ -243,7 +246,7 @@ def test_a_segment_whose_links_were_changed_is_not_its_checkpoints(
     connection.close()
     assert said(capsys, "segments", log)[0] == 0
     code, text = said(capsys, "segments", log, *KEY)
-    assert code == 5
+    assert code == 4
     assert "not those of its checkpoint" in text
     assert str(segment(log, FIRST)) in text
     assert "record 1100" in said(capsys, "verify", log)[1]
@@ -279,8 +282,54 @@ def test_a_file_that_is_none_and_links_that_are_none_are_named(
         "INSERT INTO audit SELECT * FROM old; UPDATE audit SET link = 7 WHERE seq = 1100"
     )
     connection.close()
-    assert said(capsys, "segments", log, *KEY)[0] == 5
+    assert said(capsys, "segments", log, *KEY)[0] == 4
     segment(log, FIRST).write_bytes(b"no segment")
     code, text = said(capsys, "segments", log)
-    assert code == 5
+    assert code == 4
     assert name_of(FIRST) in text
+
+
+# a segment that is a program
+
+VIEW = "ALTER TABLE audit RENAME TO old; CREATE VIEW audit(seq, record, sealed, link) AS"
+#: What is done to a segment of ours; its checkpoint and its records are there as before.
+HOSTILE = {
+    "a view of its own records": f"{VIEW} SELECT seq, record, sealed, link FROM old",
+    "a view that changes with time": (
+        f"{VIEW} SELECT seq, CASE WHEN seq = 1100 THEN strftime('%s') ELSE record END, "
+        "sealed, link FROM old"
+    ),
+    "a view in the place of the table": (
+        "CREATE TABLE rows AS SELECT * FROM audit; DROP TABLE audit; "
+        "CREATE VIEW audit AS SELECT * FROM rows"
+    ),
+    "a view without an end": f"{VIEW} {ENDLESS}",
+    "a view of a long value": f"{VIEW} SELECT seq, zeroblob(1000000000), sealed, link FROM old",
+    "a trigger of its own": (
+        "CREATE TRIGGER more AFTER UPDATE ON audit BEGIN DELETE FROM audit; END"
+    ),
+    "a trigger on what it holds": (
+        "CREATE TRIGGER audit_no_gap AFTER INSERT ON held BEGIN DELETE FROM held; END"
+    ),
+}
+
+
+@pytest.mark.parametrize("schema", HOSTILE.values(), ids=HOSTILE.keys())
+@pytest.mark.parametrize("command", ["verify", "show", "replay", "growth", "prompts", "segments"])
+def test_a_segment_that_is_a_program_is_refused_with_its_reason_and_at_once(
+    log: Path, capsys: pytest.CaptureFixture[str], command: str, schema: str
+) -> None:
+    """A segment is read by whoever was given it: nothing in it may run (lesson L26)."""
+    connection = apsw.Connection(str(segment(log, FIRST)))
+    for (trigger,) in connection.execute(
+        "SELECT name FROM sqlite_schema WHERE type = 'trigger'"
+    ).fetchall():
+        connection.execute(f"DROP TRIGGER {trigger}")
+    connection.execute(schema)
+    connection.close()
+    begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    code, found = told(capsys, command, log)
+    assert time.process_time() - begun < SOON_S
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_KIB
+    assert (code, found["error"]["code"]) == (4, "STORE_CORRUPT")
+    assert name_of(FIRST) in found["error"]["where"] + found["error"]["message"]

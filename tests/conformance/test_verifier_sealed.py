@@ -13,8 +13,10 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import Simulation
+from authguard_r.anchoring.checkpoints import Checkpoints
+from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.boxes import DataClass
+from authguard_r.audit.note import signature_lines
 from authguard_r.audit.record import BOX
 from authguard_r.cli import call
 from authguard_r.commands import Verb
@@ -115,3 +117,39 @@ def test_both_verifiers_find_it_whole_and_name_the_record_of_a_box_that_was_chan
                     1,
                     f"NOT WHOLE at record {seq}: the value",
                 )
+
+
+@needs_node
+@pytest.mark.parametrize("covers", [True, False], ids=["after the order", "before the order"])
+def test_an_order_to_destroy_counts_where_a_checkpoint_covers_it(
+    covers: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Anybody can put a record behind what is signed for, and take every value away."""
+    trust, path = scenarios.trust_folder(), tmp_path / "robot.jsonl"
+    policy = sealed_logs.policy(sealed_logs.reader("auditor"))
+    with sealed_logs.sealing(tmp_path / "robot.db", policy) as sim:
+        mission = sealed_logs.active(sim)
+        scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
+        sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
+        signer = folder_signer(trust, f"gate-{scenarios.RID}")
+        checkpoints = Checkpoints(sim.gate.ledger, robot=scenarios.RID, signer=signer)
+        checkpoints.make()
+        before = checkpoints.held()
+        assert before is not None
+        shred(sim, mission.mid)
+    assert call(["audit", "export", str(tmp_path / "robot.db"), "--out", str(path)]) == 0
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    note = json.loads(lines[-1])["checkpoint"]  # made at the gate's end
+    path.write_text("".join(lines[:-1]), encoding="utf-8")
+    early = f"{before.text}\n{signature_lines(before.signatures)}"
+    (tmp_path / "note").write_text(note if covers else early, encoding="utf-8")
+    capsys.readouterr()
+    assert call(["audit", "key", "--trust", str(trust), "--robot", scenarios.RID]) == 0
+    key = capsys.readouterr().out.strip()
+    anchored = ("--key", key, "--checkpoint", str(tmp_path / "note"))
+    code = call(["audit", "verify", str(path), *anchored, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert (told["whole"], told["anchored"]) == (True, "checkpoint")
+    assert (code, bool(told["missing"])) == ((0, False) if covers else (1, True))
+    code, out = node(str(path), *anchored)
+    assert (code, "MISSING: " in out) == ((0, False) if covers else (1, True))

@@ -9,6 +9,7 @@ Source: section "Replay Game", theorem "Replay resistance".
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from authguard_r.approvals import Selection, answer
 from authguard_r.commands import Command, StoreClaim, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Verdict
-from authguard_r.core.encoding import Tag, b64, digest_of
+from authguard_r.core.encoding import Tag, b64, digest_of, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest, GrantId, Identifier, MissionId
 from authguard_r.core.lifecycle import TERMINAL, TRANSITIONS, Event, Status
@@ -53,6 +54,11 @@ def command(verb: Verb, nonce: str, *, by: str = "operator-1") -> bytes:
         issued_ms=scenarios.START_MS + ord(nonce[0]),  # one after the other, by their letters
     )
     return sign_object(value, Tag.COMMAND, scenarios.folder_signer(scenarios.trust_folder(), by))
+
+
+def verb_of(token: bytes) -> Verb:
+    """Return what a signed command orders."""
+    return Verb(json.loads(unb64(json.loads(token)["payload"]))["verb"])
 
 
 @pytest.mark.parametrize("verb", sorted(ENDINGS))
@@ -246,8 +252,9 @@ class Replayer:
                 except AuthGuardError as error:
                     reason = str(error.reason)
             self.reasons.add(reason)
-            # to suspend what is suspended is taken in, and changes nothing
-            if not (reason or what == "command") or self._everything() != before:
+            # a stop is never refused: to suspend what is suspended changes nothing
+            refused = reason or (what == "command" and verb_of(token) is Verb.SUSPEND)
+            if not refused or self._everything() != before:
                 through.append(what)
         return through
 

@@ -133,7 +133,7 @@ def test_a_controller_that_does_not_begin_gives_the_start_back() -> None:
     assert report.outcome is Outcome.NOT_STARTED
     assert [str(f.reason) for f in report.reasons] == ["CONTROLLER_FAILED"]
     standing = sim.gate.management.standing("deliver-p1")
-    assert standing.uses["go-to-pharmacy"].starts == 0
+    assert (standing.uses["go-to-pharmacy"].starts, standing.actions) == (0, 0)
     assert standing.open == ()
     assert standing.spent.motion_ms == 0
 

@@ -133,11 +133,11 @@ def without(verdict: str, number: int = 0) -> Callable[[Log], Log]:
     return forge
 
 
-def twice(verdict: str) -> Callable[[Log], Log]:
+def twice(verdict: str, number: int = 0) -> Callable[[Log], Log]:
     """Put a record in a second time."""
 
     def forge(log: Log) -> Log:
-        at = of(verdict, log)
+        at = of(verdict, log, number)
         return chained([*log[: at + 1], *log[at:]])
 
     return forge
@@ -276,6 +276,8 @@ FORGERIES: dict[str, Callable[[Log], Log]] = {
     "a start that was not counted": sealed(
         "accept", "standing", used("go-to-pharmacy", starts=0, successes=0), number=-1
     ),
+    "an action that was not counted": sealed("accept", "standing", first(actions=0), number=-1),
+    "successes in another order": sealed("accept", "standing", first(order=0), number=-1),
     "a success that never was": sealed(
         "accept", "standing", used("go-to-101", successes=1), number=-1
     ),
@@ -303,7 +305,7 @@ FORGERIES: dict[str, Callable[[Log], Log]] = {
     "an outcome that is gone": without("succeeded"),
     "an outcome that came twice": twice("succeeded"),
     "a release that is gone": without("accept", -1),
-    "a release that came twice": twice("accept"),
+    "a release that came twice": twice("accept", 1),
     "an outcome before its release": swapped("accept"),
     # who ordered it
     "an activation that is gone": without("activate"),

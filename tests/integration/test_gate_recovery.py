@@ -7,11 +7,14 @@ once it is mended the work goes on.
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import apsw
 import msgspec
@@ -28,6 +31,7 @@ from fixtures.gate_process import RunningGate, order, until
 from integration.test_gate_watching import FAST, GO, connected, operator, walking
 
 HOUR_MS = 3_600_000
+HIJACK = b'navigate_to(destination="Station 103", speed=0.8)'
 
 
 @pytest.fixture
@@ -65,10 +69,12 @@ def test_a_clock_that_is_behind_leaves_stops_and_nothing_else(gate: RunningGate)
     until(lambda: [r for r in gate.records() if r.kind == "stop"], "the stop's record")
 
 
-def test_a_full_disk_refuses_releases_and_keeps_room_for_outcomes_and_stops() -> None:
+@contextmanager
+def on_a_small_disk(**bounds: Any) -> Iterator[tuple[RunningGate, Path]]:
+    """Yield a gate whose store is on a file system of 8 MiB, and the folder of that."""
     if os.geteuid() != 0:
         pytest.skip("mounting a small file system needs root")
-    gate = RunningGate(robot=FAST, estimator=True, reserve_bytes=1 << 20)
+    gate = RunningGate(robot=FAST, estimator=True, **bounds)
     disk = gate.folder / "disk"
     disk.mkdir()
     if os.system(f"mount -t tmpfs -o size=8m tmpfs {disk} 2>/dev/null") != 0:
@@ -77,31 +83,69 @@ def test_a_full_disk_refuses_releases_and_keeps_room_for_outcomes_and_stops() ->
     gate.store = disk / "robot.db"
     try:
         with gate:
-            walk, mission, digest = walking(gate)
-            filler = fill(disk / "filler")
-            step = walk.ended()
-            assert step["execution"]["outcome"] == "succeeded"
-            assert step["execution"]["recorded"] is True  # thanks to the reserve
-            refused = walk.answer["steps"][1]
-            assert (refused["reasons"], refused["released"]) == (["STORE_FULL"], False)
-            with GateClient.connect(gate.stop_socket, role=ClientRole.OPERATOR) as hand:
-                assert hand.stop()["stopped"] is True
-            until(lambda: [r for r in gate.records() if r.kind == "stop"], "the stop's record")
-            filler.unlink()
-            with operator(gate) as person:
-                resumed = person.command(order(gate, mission, digest, Verb.RESUME))
-                assert resumed["status"] == "active"
-
-            def goes_on() -> bool:
-                with gate.client(ClientRole.PLANNER, "next") as planner:
-                    step = planner.propose(b'pick_up(object="P1", force=12)')["steps"][0]
-                time.sleep(0.3)  # refusals in a row would stop the robot
-                return bool(step["execution"]["outcome"] == "succeeded")
-
-            until(goes_on, "the work")
-            assert gate.stop_process("gate") == 0
+            yield gate, disk
     finally:
         os.system(f"umount -l {disk}")
+
+
+def test_a_full_disk_refuses_releases_and_keeps_room_for_outcomes_and_stops() -> None:
+    with on_a_small_disk(reserve_bytes=1 << 20) as (gate, disk):
+        walk, mission, digest = walking(gate)
+        filler = fill(disk / "filler")
+        step = walk.ended()
+        assert step["execution"]["outcome"] == "succeeded"
+        assert step["execution"]["recorded"] is True  # thanks to the reserve
+        refused = walk.answer["steps"][1]
+        assert (refused["reasons"], refused["released"]) == (["STORE_FULL"], False)
+        with GateClient.connect(gate.stop_socket, role=ClientRole.OPERATOR) as hand:
+            assert hand.stop()["stopped"] is True
+        until(lambda: [r for r in gate.records() if r.kind == "stop"], "the stop's record")
+        filler.unlink()
+        with operator(gate) as person:
+            resumed = person.command(order(gate, mission, digest, Verb.RESUME))
+            assert resumed["status"] == "active"
+
+        def goes_on() -> bool:
+            with gate.client(ClientRole.PLANNER, "next") as planner:
+                step = planner.propose(b'pick_up(object="P1", force=12)')["steps"][0]
+            time.sleep(0.3)  # refusals in a row would stop the robot
+            return bool(step["execution"]["outcome"] == "succeeded")
+
+        until(goes_on, "the work")
+        assert gate.stop_process("gate") == 0
+
+
+def test_hijacks_that_are_only_counted_on_a_full_disk_are_in_the_log_after_a_clean_stop() -> None:
+    counts = "refusals are only counted: the disk is full"
+    with on_a_small_disk(reserve_bytes=1 << 20, refusals=0) as (gate, disk):
+        gate.activate()
+        numbers = itertools.count()
+
+        def is_recorded() -> bool:
+            with gate.client(ClientRole.PLANNER, f"planner-{next(numbers)}") as planner:
+                (step,) = planner.propose(HIJACK)["steps"]
+            assert (step["outcome"], step["released"]) == ("reject", False)
+            return bool(step["execution"]["recorded"])
+
+        assert is_recorded()
+        filler = fill(disk / "filler")
+        until(lambda: not is_recorded(), "a refusal that is only counted")
+        assert not is_recorded()
+        assert not is_recorded()
+        with operator(gate) as person:
+            told = until(
+                lambda: [a for a in person.status()["alerts"] if a["what"] == counts], "the alert"
+            )
+        assert not told[-1].get("over")
+        assert gate.stop_process("gate") == 0
+        filler.unlink()
+        records = gate.records()
+    refused = [record for record in records if record.reasons == ["DESTINATION_OUT_OF_SCOPE"]]
+    counted = [record.open for record in refused if record.open.get("cause") == "no room"]
+    assert [record["repeats"] for record in counted] == [3]
+    whole = [record for record in refused if "repeats" not in record.open]
+    assert len(whole) == next(numbers) - 3
+    assert counts in [record.open.get("what") for record in records if record.kind == "alert"]
 
 
 def fill(path: Path) -> Path:

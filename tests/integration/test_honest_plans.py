@@ -66,7 +66,8 @@ def _way(source: str, destination: str) -> dict[str, Any]:
 def carried(speed: int, plans: int) -> list[list[str]]:
     """Return what became of each step of each plan that one robot was given."""
     found = []
-    with RunningGate(robot=("--speed-up", str(speed)), estimator=True) as gate:
+    trust = scenarios.new_trust_folder()  # of its own: gates of one robot run side by side
+    with RunningGate(robot=("--speed-up", str(speed)), estimator=True, trust=trust) as gate:
         gate.activate(gate.token(gate.mission(**errands(plans))))
         with gate.client(ClientRole.PLANNER) as planner:
             planner.propose(b'navigate_to(destination="Pharmacy", speed=0.8)')
@@ -86,10 +87,11 @@ def carried(speed: int, plans: int) -> list[list[str]]:
 @pytest.mark.parametrize(
     ("speed", "plans", "robots"),
     [
+        pytest.param(20, 8, 1, marks=pytest.mark.smoke),
         (20, 40, 1),
-        pytest.param(20, 1_000, 25, marks=pytest.mark.nightly),
-        pytest.param(4, 50, 5, marks=pytest.mark.nightly),
-        pytest.param(1, 10, 5, marks=pytest.mark.nightly),
+        pytest.param(20, 1_000, 25, marks=pytest.mark.complete),
+        pytest.param(4, 50, 5, marks=pytest.mark.complete),
+        pytest.param(1, 10, 5, marks=pytest.mark.complete),
     ],
 )
 def test_an_honest_plan_is_accepted_every_time(speed: int, plans: int, robots: int) -> None:

@@ -588,10 +588,12 @@ def test_without_such_calls_nobody_says_that_the_robot_stands(house: House) -> N
     confirm_stop(house.gate)
 
 
+@pytest.mark.parametrize("ends", [(), ("ends-session",)], ids=["goes on", "ends"])
 def test_a_stop_during_a_call_over_http_has_a_session_of_its_own(
-    shared: SharedGate, tmp_path: Path
+    shared: SharedGate, tmp_path: Path, ends: tuple[str, ...]
 ) -> None:
-    served = Served(tmp_path, "hangs")
+    """Whatever becomes of the canceled call's session, its end included."""
+    served = Served(tmp_path, "hangs", *ends)
     try:
         with shared.one_test() as gate:
             gate.activate()

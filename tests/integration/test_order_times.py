@@ -6,8 +6,11 @@ A gate as a process, with the symbolic robot in it. Spec page: docs/spec/standin
 
 from __future__ import annotations
 
+import json
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -15,16 +18,19 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.assembly import folder_signer
+from authguard_r.cli import call
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
+from authguard_r.safety import default_config as default_safety
 from authguard_r.wire.messages import ClientRole
-from fixtures import scenarios
+from fixtures import emergency_policies, scenarios
 from fixtures.gate_process import RunningGate, order, until
-from integration.test_gate_watching import FAST, operator
+from integration.test_gate_emergency import Ward, policy_now
+from integration.test_gate_watching import FAST, connected, operator
 
 DAY_MS = 86_400_000
 SCAN = b"scan()"
@@ -116,6 +122,21 @@ def test_a_suspension_that_was_signed_before_a_resume_suspends_nothing(gate: Run
     assert active.hand_in(late) == "ORDER_TOO_OLD"
 
 
+@pytest.mark.parametrize(("verb", "status"), [("complete", "completed"), ("revoke", "revoked")])
+def test_an_end_that_was_signed_before_a_resume_ends_nothing(
+    gate: RunningGate, verb: str, status: str
+) -> None:
+    active = Active(gate)
+    late = active.signed(Verb(verb))
+    time.sleep(0.002)
+    assert active.hand_in(active.signed(Verb.SUSPEND)) == "suspended"
+    time.sleep(0.002)
+    assert active.hand_in(active.signed(Verb.RESUME)) == "active"
+    assert active.hand_in(late) == "ORDER_TOO_OLD"
+    time.sleep(0.002)
+    assert active.hand_in(active.signed(Verb(verb))) == status
+
+
 def test_a_newer_suspension_of_what_is_suspended_counts(gate: RunningGate) -> None:
     active = Active(gate)
     assert active.hand_in(active.signed(Verb.SUSPEND)) == "suspended"
@@ -175,3 +196,126 @@ def test_a_gate_does_not_start_under_a_configuration_that_is_older_than_one_befo
         gate.configure(msgspec.structs.replace(gate.config, version=6))
         with pytest.raises(AssertionError, match="SUPERSEDED"):
             gate.start_gate()
+
+
+class Configured(Ward):
+    """A gate with a safety configuration and an emergency policy that are signed anew at will."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, robot=FAST)
+        self.safety: Path | None = folder / "safety.token"
+        self.has_emergency = True
+        shutil.copy(self.binding, folder / "binding.yaml")
+        self.binding = folder / "binding.yaml"
+        self.sign_safety(5)
+        self.sign_emergency(3)
+
+    def sign_safety(self, version: int, **changes: Any) -> None:
+        """Sign a safety configuration; it counts from the next start."""
+        plain = default_safety(emergency_policies.site(), self.rid)
+        config = msgspec.structs.replace(plain, version=version, **changes)
+        officer = folder_signer(self.trust, "safety-officer-1")
+        self.safety = self.folder / "safety.token"
+        self.safety.write_bytes(sign_object(config, Tag.SAFETY, officer))
+
+    def sign_emergency(self, version: int, **changes: Any) -> None:
+        """Sign an emergency policy; it counts from the next start."""
+        self.has_emergency = True
+        self.policy.write_bytes(emergency_policies.token(policy_now(version=version, **changes)))
+
+    def start_gate(self, *more: str) -> dict[str, Any]:
+        safety = () if self.safety is None else ("--safety", str(self.safety))
+        if self.has_emergency:
+            return super().start_gate(*safety, *more)
+        return RunningGate.start_gate(self, *safety, *more)
+
+    def changes(self) -> list[tuple[str, int]]:
+        """Return the part and the version of each change that the log holds."""
+        found = [record for record in self.records() if record.decision == "configuration"]
+        return [(record.open["part"], record.open["version"]) for record in found]
+
+    def step(self, plan: bytes) -> dict[str, Any]:
+        """Return what becomes of a plan of one step, once there is a robot and state of it."""
+
+        def answer() -> dict[str, Any] | None:
+            with self.client(ClientRole.PLANNER) as planner:
+                step: dict[str, Any] = planner.propose(plan)["steps"][0]
+            early = {"STATE_MISSING", "STATE_STALE", "STATE_BEFORE_MOTION", "CONTROLLER_FAILED"}
+            return None if early & set(step["reasons"]) else step
+
+        until(lambda: connected(self), "the controller's return")
+        found: dict[str, Any] = until(answer, "a decision")
+        return found
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Iterator[Configured]:
+    with Configured(tmp_path) as running:
+        yield running
+
+
+AS_BEFORE, UNSIGNED = "version {} was another one before", "got none that is signed"
+#: What takes the place of what was in force: which part it is, what the gate says of it, and it.
+OLDER: tuple[tuple[str, str, Callable[[Configured], object]], ...] = (
+    ("safety", "got version 4", lambda gate: gate.sign_safety(4)),
+    ("emergency", "got version 2", lambda gate: gate.sign_emergency(2)),
+    ("safety", AS_BEFORE.format(5), lambda gate: gate.sign_safety(5, max_speed_mm_s=1_400)),
+    ("emergency", AS_BEFORE.format(3), lambda gate: gate.sign_emergency(3, id="another")),
+    ("safety", UNSIGNED, lambda gate: setattr(gate, "safety", None)),
+    ("emergency", UNSIGNED, lambda gate: setattr(gate, "has_emergency", False)),
+)
+
+
+def test_a_gate_does_not_start_under_an_older_safety_configuration_or_emergency_policy(
+    configured: Configured,
+) -> None:
+    gate = configured
+    safety, emergency = gate.folder / "safety.token", gate.policy
+    inforce = (safety.read_bytes(), emergency.read_bytes())
+    before = gate.changes()
+    gate.stop_process("gate")
+    for part, why, older in OLDER:
+        older(gate)
+        with pytest.raises(AssertionError, match=f"SUPERSEDED.*{why}.*{part}.version"):
+            gate.start_gate()
+        gate.stop_process("gate")
+        gate.safety, gate.has_emergency = safety, True
+        safety.write_bytes(inforce[0])
+        emergency.write_bytes(inforce[1])
+    gate.start_gate()  # under what was in force
+    assert gate.changes() == before
+
+
+def test_each_configuration_that_changed_is_recorded_and_a_replay_goes_by_it(
+    configured: Configured, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gate = configured
+    token = gate.token(gate.mission())
+    gate.activate(token)
+    assert gate.step(SCAN)["execution"]["outcome"] == "succeeded"
+    first = gate.changes()
+    gate.restart()  # nothing has changed
+    assert gate.changes() == first
+    gate.stop_process("gate")
+    gate.sign_safety(7, max_speed_mm_s=300)
+    gate.sign_emergency(8)
+    old = gate.binding.read_text()
+    gate.binding.write_text(old.replace("id: courier-tools", "id: courier-tools-2"))
+    gate.start_gate()
+    assert gate.changes() == [*first, ("binding", 0), ("emergency", 8), ("safety", 7)]
+    fast = gate.step(b'navigate_to(destination="Pharmacy", speed=0.8)')
+    assert (fast["outcome"], fast["released"]) == ("accept", False)
+    gate.stop_process("gate")
+    gate.binding.write_text(old)  # it has no version: a change back is one more change
+    gate.start_gate()
+    assert gate.changes()[-1] == ("binding", 0)
+    assert gate.step(SCAN)["execution"]["outcome"] == "succeeded"
+    told = [record for record in gate.records() if record.open.get("part") == "binding"]
+    assert told[-1].open["digest"] == told[-2].open["was"]
+    gate.stop_process("gate")
+    assert call(["audit", "replay", str(gate.store), "--trust", str(gate.trust), "--json"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    decided = [record for record in gate.records() if record.kind == "decision"]
+    assert (replayed["whole"], replayed["agree"]) == (True, len(decided))
+    hazards = [record.open["safety"]["hazards"] for record in decided if record.reasons == []]
+    assert [found for found in hazards if found] == [["SPEED"]]

@@ -17,12 +17,13 @@ import pytest
 
 from authguard_r.assembly import folder_signer
 from authguard_r.client import GateClient
+from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag
 from authguard_r.core.token import sign_object
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
-from fixtures.gate_process import RunningGate, until
+from fixtures.gate_process import RunningGate, order, until
 from integration.test_mcp_gateway import House, verdict
 
 NOTHING_HELD = {"variable": "holding", "eq": "nothing", "max_age": "1 s"}
@@ -139,6 +140,8 @@ def test_a_step_that_waits_holds_up_neither_a_stop_nor_another_client(
         with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as hand:
             until(lambda: hand.stop()["stopped"], "the robot's word that it stands")
         assert not waiting.done()
+        # the gate hears of it a moment later, and raises the fence
+        until(lambda: "stop" in [told.kind for told in gate.news()], "the record of the stop")
         slow.attest("dock", fence=slow.fence)
         assert waiting.result()[0]["execution"]["outcome"] == "succeeded"
 
@@ -151,6 +154,59 @@ def test_state_from_before_a_restart_counts_for_nothing(gate: RunningGate) -> No
     slow.attest("dock", fence=0)
     (step,) = until(lambda: proposed(gate, SCAN), "an answer")
     assert step["reasons"] == ["STATE_BEFORE_MOTION"]
+
+
+def test_a_number_from_before_a_restart_counts_for_nothing(unattested: RunningGate) -> None:
+    """The last record before it ended a motion: the newest number of then is of before, too."""
+    gate, slow = unattested, SlowEstimator(unattested)
+    gate.activate()
+    slow.attest("dock", fence=slow.fence)
+    assert proposed(gate, SCAN)[0]["execution"]["outcome"] == "succeeded"
+    number = slow.fence
+    gate.restart()
+    again = SlowEstimator(gate)
+    again.attest("dock", fence=number)
+    (step,) = until(lambda: proposed(gate, SCAN), "an answer")
+    assert (step["reasons"], step["retryable"]) == (["STATE_BEFORE_MOTION"], True)
+
+
+def to_and_fro() -> list[dict[str, Any]]:
+    """Return two ways to the pharmacy, of which the first is used up, and one that leads away."""
+    go, _, carry, *_ = scenarios.draft()["grants"]
+    once = {**go, "until": [], "rows": [way("dock", "pharmacy")]}
+    away = {**carry, "guards": [], "after": [], "rows": [way("pharmacy", "station-101")]}
+    back = {**once, "id": "go-back", "rows": [way("station-101", "pharmacy")]}
+    return [once, away, back]
+
+
+def way(source: str, destination: str) -> dict[str, Any]:
+    regions = [source, "public-corridor", destination]
+    return {"source": source, "destination": destination, "regions": regions}
+
+
+@pytest.mark.parametrize("comes", [True, False], ids=["newer state comes", "none comes"])
+def test_a_step_waits_though_an_old_place_makes_another_grant_the_closest(
+    gate: RunningGate, comes: bool
+) -> None:
+    gate.activate(gate.token(gate.mission(grants=to_and_fro(), closing=None)))
+    steps = proposed(gate, GO, BACK)
+    assert [step["execution"]["outcome"] for step in steps] == ["succeeded"] * 2
+    gate.stop_process("estimator")
+    slow = SlowEstimator(gate)
+    slow.attest("dock", fence=0)  # from before the first motion
+    with ThreadPoolExecutor(1) as beside:
+        asked = beside.submit(proposed, gate, GO)
+        time.sleep(0.2)
+        assert not asked.done()
+        while comes and not asked.done():
+            slow.attest("station-101", fence=slow.fence)
+            time.sleep(0.02)
+        (step,) = asked.result()
+    if comes:
+        assert step["released"] is True
+    else:
+        assert set(step["reasons"]) > {"STATE_BEFORE_MOTION"}
+        assert (step["retryable"], step["released"]) == (True, False)
 
 
 def leaving() -> list[dict[str, Any]]:
@@ -208,4 +264,29 @@ def test_state_from_before_a_stop_or_an_abort_counts_for_nothing(
     (step,) = proposed(gate, SCAN)
     assert step["reasons"] == ["STATE_BEFORE_MOTION"]
     slow.attest("dock", fence=slow.fence)
+    assert proposed(gate, SCAN)[0]["execution"]["outcome"] == "succeeded"
+
+
+def test_state_from_before_a_resume_counts_for_nothing_after_a_person_drove_the_robot(
+    unattested: RunningGate,
+) -> None:
+    gate, slow = unattested, SlowEstimator(unattested)
+    mission = gate.mission()
+    digest = gate.activate(gate.token(mission))["digest"]
+    slow.attest("dock", fence=slow.fence)
+    with GateClient.connect(gate.stop_socket, role=ClientRole.OPERATOR) as hand:
+        until(lambda: hand.stop()["stopped"], "the robot's word that it stands")
+    with gate.client(ClientRole.OPERATOR) as person:
+        suspended = lambda: person.status()["mission"]["status"] == "suspended"  # noqa: E731
+        until(suspended, "the record of the stop")
+        before = slow.fence
+        slow.attest("dock", fence=before)  # newer than the stop
+        assert "STATE_BEFORE_MOTION" not in proposed(gate, SCAN)[0]["reasons"]
+        # and now the person drives it to the pharmacy by hand
+        person.command(order(gate, mission, digest, Verb.RESUME))
+    assert slow.fence > before
+    slow.attest("dock", fence=before)
+    (step,) = proposed(gate, SCAN)
+    assert (step["reasons"], step["released"]) == (["STATE_BEFORE_MOTION"], False)
+    slow.attest("pharmacy", fence=slow.fence)
     assert proposed(gate, SCAN)[0]["execution"]["outcome"] == "succeeded"

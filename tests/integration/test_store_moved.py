@@ -57,3 +57,23 @@ def test_nothing_is_released_once_the_store_was_moved_away_and_an_alert_says_so(
             Path(away / path.name).rename(path)
         until(lambda: alerts(gate)[-1].get("over"), "the alert's end")
         until(lambda: proposed(gate) == [], "work that goes on")
+
+
+def test_a_write_ahead_log_that_alone_was_moved_away_is_missed_as_well() -> None:
+    """What is committed is in it: a store without it is an older one."""
+    with RunningGate(robot=FAST, estimator=True, refusals=0) as gate:
+        gate.activate()
+        assert proposed(gate) == []
+        wal, away = Path(f"{gate.store}-wal"), gate.folder / "away-wal"
+        wal.rename(away)
+        moved = time.monotonic()
+        assert proposed(gate) == ["STORE_UNAVAILABLE"]
+        until(lambda: alerts(gate), "the alert")
+        assert time.monotonic() - moved < SOON_S
+        assert not wal.exists()  # nor is another one begun
+        assert gate.store.exists()
+        away.rename(wal)
+        until(lambda: alerts(gate)[-1].get("over"), "the alert's end")
+        until(lambda: proposed(gate) == [], "work that goes on")
+        decided = [record for record in gate.records() if record.kind == "decision"]
+        assert len([record for record in decided if record.open["ticket"] != "-"]) == 2

@@ -55,6 +55,24 @@ def test_l23_nothing_is_decided_on_state_from_before_the_last_motion_ended() -> 
         assert "STATE_BEFORE_MOTION" not in then["reasons"]
 
 
+def test_l23_a_number_from_before_a_restart_is_too_small_after_it(tmp_path: Path) -> None:
+    given: list[int] = []
+    for _ in range(3):
+        sim = scenarios.simulation(store=tmp_path / "robot.db", start_ms=scenarios.START_MS)
+        if not given:
+            sim.gate.management.activate(scenarios.token())
+            scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
+        for _ in range(3):  # ends that no record has room for
+            sim.gate.ledger.raise_fence()
+        given.append(sim.gate.ledger.fence)
+        sim.gate.close()
+        sim = scenarios.simulation(
+            store=tmp_path / "robot.db", start_ms=scenarios.START_MS + 60_000 * len(given)
+        )
+        assert sim.gate.ledger.fence > max(given)
+        sim.gate.close()
+
+
 def test_l24_an_older_order_undoes_nothing_that_was_signed_after_it() -> None:
     with House() as house:
         house.activate()
@@ -63,12 +81,13 @@ def test_l24_an_older_order_undoes_nothing_that_was_signed_after_it() -> None:
         house.stop(ClientRole.OPERATOR, 1)
         with pytest.raises(Refused, match="ORDER_TOO_OLD"):
             order(house, Act.COMMAND, before)
-        late = house.order(Verb.SUSPEND)
+        late = [house.order(verb) for verb in (Verb.SUSPEND, Verb.COMPLETE, Verb.REVOKE)]
         house.advance(50)
         answer = order(house, Act.COMMAND, house.order(Verb.RESUME))
         assert answer["standing"]["status"] == "active"
-        with pytest.raises(Refused, match="ORDER_TOO_OLD"):
-            order(house, Act.COMMAND, late)
+        for token in late:
+            with pytest.raises(Refused, match="ORDER_TOO_OLD"):
+                order(house, Act.COMMAND, token)
 
 
 def test_l25_what_was_refused_on_a_full_disk_is_in_the_log_after_a_clean_stop(full: Full) -> None:
@@ -109,6 +128,22 @@ def test_l26_a_store_that_is_a_program_is_refused_with_its_reason_and_at_once(
     assert call(["audit", command, str(path), "--json"]) == 4
     assert time.process_time() - begun < SOON_S
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "STORE_CORRUPT"
+
+
+def test_l26_each_command_that_reads_a_strange_store_refuses_it_in_the_same_way(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(tmp_path / "robot.db")
+    store(Path(path), HOSTILE["a view without an end"])
+    site = str(scenarios.HOSPITAL / "site.yaml")
+    audits = ("verify", "show", "replay", "export", "growth", "segments", "prompts")
+    commands = [["audit", name, path] for name in audits]
+    commands[3] += ["--out", str(tmp_path / "robot.jsonl")]
+    commands += [["explain", "0", "--store", path]]
+    commands += [["learn", path, "--site", site, "--out", str(tmp_path / "learned")]]
+    for words in commands:
+        assert (call([*words, "--json"]), words) == (4, words)
+        assert json.loads(capsys.readouterr().out)["error"]["code"] == "STORE_CORRUPT"
 
 
 def test_l29_a_failure_in_a_success_envelope_has_failed() -> None:

@@ -9,7 +9,7 @@ believed: each tool calls itself harmless, and its answers are signs that somebo
 Faults: `dies` at the second call, `hangs` in every call but `say`, `huge` answers, `says-no`
 and is no error, `renamed` has a tool more, `error` is an error of the tool, `busy` hears nothing
 for two seconds of a call, `leaves` after the first answer of each start, `forges` or `garbles` a
-verdict.
+verdict, `ends-session` (over HTTP) ends the session in which a call is canceled.
 """
 
 from __future__ import annotations
@@ -118,6 +118,41 @@ def made() -> Server[Any]:
     return server
 
 
+class EndsSession:
+    """Speaks in sessions alone, and ends the one in which a call is canceled: 404 from then on.
+
+    Args:
+        app: answers everything else.
+    """
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+        self._ended: set[bytes] = set()
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] != "http" or scope["method"] != "POST":
+            await self._app(scope, receive, send)
+            return
+        body, more = b"", True
+        while more:
+            part = await receive()
+            body, more = body + part.get("body", b""), part.get("more_body", False)
+        method = json.loads(body).get("method")
+        session = dict(scope["headers"]).get(b"mcp-session-id", b"")
+        if method == "notifications/cancelled":
+            self._ended.add(session)
+        if session in self._ended or method == "server/discover":
+            await send({"type": "http.response.start", "status": 404, "headers": []})
+            await send({"type": "http.response.body", "body": b""})
+            return
+        first = [{"type": "http.request", "body": body, "more_body": False}]
+
+        async def again() -> Any:
+            return first.pop() if first else await receive()
+
+        await self._app(scope, again, send)
+
+
 async def _main() -> None:
     server = made()
     if "http" in FAULTS:  # no fault: it is reached so
@@ -126,7 +161,9 @@ async def _main() -> None:
         listening.bind(("127.0.0.1", 0))
         listening.listen()
         print(listening.getsockname()[1], flush=True)
-        config = uvicorn.Config(server.streamable_http_app(), log_level="warning")
+        app: Any = server.streamable_http_app()
+        app = EndsSession(app) if "ends-session" in FAULTS else app
+        config = uvicorn.Config(app, log_level="warning")
         await uvicorn.Server(config).serve(sockets=[listening])
         return
     async with stdio_server() as (read, write):

@@ -64,10 +64,7 @@ def moves(robot: Guarded) -> Stick:
 
 @pytest.mark.parametrize(
     "fault",
-    [
-        pytest.param(fault, id=name, marks=[pytest.mark.smoke] if name == "killed" else [])
-        for name, fault in FAULTS.items()
-    ],
+    [pytest.param(fault, id=name) for name, fault in FAULTS.items()],
 )
 def test_a_node_that_does_not_live_moves_nothing_and_its_goal_is_canceled_by_the_dead_man(
     robot: Guarded, fault: signal.Signals

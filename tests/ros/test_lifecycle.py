@@ -198,7 +198,6 @@ def test_what_runs_is_canceled_when_it_is_configured(graph: Graph, manager: Mana
     assert graph.robot.arm.canceled == [True]
 
 
-@pytest.mark.smoke
 def test_deactivating_stops_the_robot_and_tells_the_planner(graph: Graph, manager: Manager) -> None:
     manager.begin()
     sent = goal(graph)

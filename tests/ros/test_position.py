@@ -34,6 +34,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from authguard_r.assembly import folder_signer
+from authguard_r.client.attesting import since
 from authguard_r.client.link import Log
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
@@ -268,7 +269,6 @@ def test_a_robot_that_is_faster_than_it_was_released_is_stopped_in_mid_goal(
     course.canceled(goal, "BOUND_EXCEEDED")
 
 
-@pytest.mark.smoke
 def test_a_robot_whose_odometry_leaves_its_regions_is_stopped_in_mid_goal(
     course: Course,
 ) -> None:
@@ -279,7 +279,6 @@ def test_a_robot_whose_odometry_leaves_its_regions_is_stopped_in_mid_goal(
     course.canceled(goal, "OUTSIDE_REGIONS")
 
 
-@pytest.mark.smoke
 def test_odometry_that_is_silent_in_mid_goal_stops_the_robot(course: Course) -> None:
     goal = course.go()
     assert goal.accepted
@@ -698,6 +697,25 @@ def test_without_sensors_the_place_and_the_speed_are_all_that_is_attested() -> N
     assert (seen.measured_ms, seen.snapshot.pose.age_ms) == (11, 10)
     assert set(seen.snapshot.readings) == {"speed_mm_s"}
     assert Estimate(scenarios.RID, position, lambda: None).look(11) is None
+
+
+@pytest.mark.parametrize(
+    ("after_ms", "fence"), [(-100, 0), (estimator.PATH_MS, 0), (estimator.PATH_MS + 1, 7)]
+)
+def test_a_message_that_came_too_soon_after_a_fence_does_not_carry_it(
+    after_ms: int, fence: int
+) -> None:
+    """It may have been measured before the fence, and have taken 250 ms on its way."""
+    assert estimator.PATH_MS == 250
+    position = parse_map(map_with(1), where="map").position
+    assert position is not None
+    came_ms = 10_000 + after_ms
+    fix = Fix(x_mm=1, y_mm=2, speed_mm_s=3, measured_ns=came_ms * 1_000_000)
+    seen = Estimate(scenarios.RID, position, lambda: fix).look(10_400)
+    assert seen is not None
+    signed = since(seen, 7, 10_000)
+    assert signed.pose is not None
+    assert (signed.pose.fence, signed.readings["speed_mm_s"].fence) == (fence, fence)
 
 
 def test_a_node_that_does_not_spin_any_more_ends_the_process() -> None:

@@ -100,7 +100,6 @@ def test_an_executor_of_several_threads_is_as_dead_when_what_mediates_is_stuck(
     assert driving.canceled_ms(begun) < SOON_MS
 
 
-@pytest.mark.smoke
 def test_nothing_moves_after_death_until_a_new_life_has_stood_first(watched: Watched) -> None:
     driving = Driving(watched)
     begun = driving.fault("SIGKILL")
@@ -182,7 +181,6 @@ def test_l3_a_velocity_that_is_no_number_stops_the_base(watched: Watched) -> Non
         assert set(base.velocities(after=begun)) == {0.0}, value
 
 
-@pytest.mark.smoke
 def test_a_rogue_with_the_default_profile_is_not_matched(watched: Watched) -> None:
     begun = time.monotonic_ns()
     base, gate = watched.base, watched.robot.start("gate")
@@ -195,7 +193,6 @@ def test_a_rogue_with_the_default_profile_is_not_matched(watched: Watched) -> No
     assert not [line for line in rogue.lines if line["event"] == "matched"]
 
 
-@pytest.mark.smoke
 def test_a_second_publisher_with_the_right_profile_latches_a_stop(watched: Watched) -> None:
     begun = time.monotonic_ns()
     base, gate = watched.base, watched.robot.start("gate")

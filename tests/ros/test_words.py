@@ -141,7 +141,6 @@ def wave(order: int) -> str:
 HORN, CLEAR, HOLD = ("horn", "Trigger"), ("clear", "Empty"), ("hold", "Trigger")
 
 
-@pytest.mark.smoke
 def test_a_plan_as_text_is_told_of_from_its_decision_to_its_end(
     graph: Graph, gate: RunningGate
 ) -> None:
@@ -176,7 +175,6 @@ def test_a_plan_as_text_is_told_of_from_its_decision_to_its_end(
     assert first.sealed["action"]["meta"]["evidence"] == digest(Tag.RAW, text.encode())
 
 
-@pytest.mark.smoke
 def test_a_plan_that_is_refused_ends_there_and_says_why(graph: Graph) -> None:
     writer = Writer(graph.planner())
     text = plan(HOLD, HORN)

@@ -232,6 +232,7 @@ def test_nothing_lets_a_mission_go_on_by_a_signature_that_does_not_hold(folder: 
         planner = ward.house.enter(ClientRole.PLANNER)
         (step,) = ward.house.propose(planner, SCAN)["steps"]
         assert step["released"] is False
+        ward.house.advance(100)  # signed after the suspension
         ward.management.command(ward.order(Verb.COMPLETE, **again))
         assert ward.status() == "completed"
 

@@ -189,6 +189,22 @@ def test_what_goes_wrong_is_told_once_tried_again_and_over_when_it_works(
     assert log.ends == [3 * BLOCK]
 
 
+def test_it_works_again_once_nothing_is_left_to_do(
+    log: Rotated, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is sealed stays in the store while it cannot be deleted there."""
+    log.grow(LEAST)
+    while not log.ends:
+        assert log.rotation.tick() == ()
+    with monkeypatch.context() as patch:
+        patch.setattr(log.store, "_closed", True)
+        (told,) = log.rotation.tick()
+        assert (told.what, told.over) == (STUCK, False)
+    log.sim.robot.pause(AGAIN_MS)
+    assert log.turn() == [Told(STUCK, {}, over=True)]
+    assert log.in_store() == LEAST - 3 * BLOCK
+
+
 def test_a_disk_that_fills_on_the_way_has_its_place_back(
     log: Rotated, monkeypatch: pytest.MonkeyPatch
 ) -> None:

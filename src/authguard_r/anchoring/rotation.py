@@ -92,24 +92,25 @@ class Rotation:
         if self._ledger.mono_ms() < self._again_ms:
             return ()
         try:
-            sealed = self._step()
+            works = self._step()
         except AuthGuardError as error:
             return self._give_up(error)
-        if not sealed or not self._stuck:
+        if not works or not self._stuck:
             return ()
         self._stuck = False
         return (Told(STUCK, {}, over=True),)
 
     def _step(self) -> bool:
-        """Do what is next; True when a segment was sealed."""
+        """Do what is next; True when a segment was sealed, or nothing is left to do."""
         mover = self._mover
         if mover.clears:
             mover.clear(BLOCK // 2)
         elif not mover.copies:
             end = self._ledger.peek(self._due)
-            if end > mover.mark:
-                self._end = end
-                mover.begin(end)
+            if end <= mover.mark:
+                return True
+            self._end = end
+            mover.begin(end)
         elif mover.copy(BLOCK, _require_tree):
             note, head = self._ledger.peek(self._sealed)
             mover.seal(note.encode(), head=head)

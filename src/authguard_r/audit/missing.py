@@ -23,7 +23,9 @@ _ORDER = "shred"
 #: Fields that lie in no box.
 _NEVER_BOXED = frozenset({"now", "site", "safety", "policy", "list"})
 #: Kinds of missing values that are told apart; more of them count as one, which no order explains.
-_MOST = 1 << 16
+_MOST = 1 << 18
+#: The same of one mission: an order looks at all of them.
+_MOST_OF_ONE = 1 << 8
 
 
 class Missing(Struct, frozen=True, kw_only=True):
@@ -53,7 +55,9 @@ class Gone:
     """What is missing of the log so far."""
 
     def __init__(self) -> None:
-        self._left: dict[tuple[str, str], Missing] = {}
+        #: By mission and name, so that an order looks at its own mission alone.
+        self._left: dict[str, dict[str, Missing]] = {}
+        self._size = 0
         self._orders: dict[Order, None] = {}
 
     @property
@@ -64,7 +68,8 @@ class Gone:
     @property
     def left(self) -> tuple[Missing, ...]:
         """What no order explains, in the order in which it was found."""
-        return tuple(sorted(self._left.values(), key=lambda one: (one.first, one.name)))
+        every = (one for of in self._left.values() for one in of.values())
+        return tuple(sorted(every, key=lambda one: (one.first, one.name)))
 
     def take(self, seq: int, mid: str, committed: Iterable[str], beside: Iterable[str]) -> None:
         """Take in a record that commits to more than lies beside it."""
@@ -83,8 +88,11 @@ class Gone:
     def carry_out(self, order: Order) -> None:
         """Let go of what an order explains."""
         self._orders[order] = None
-        left = {key: one for key, one in self._left.items() if not _explains(order, one)}
-        self._left = left
+        left = self._left.pop(order.mid, {})
+        kept = {name: one for name, one in left.items() if not _explains(order, one)}
+        self._size -= len(left) - len(kept)
+        if kept:
+            self._left[order.mid] = kept
 
     def join(self, orders: Iterable[Order], left: Iterable[Missing]) -> None:
         """Take in what is missing of the next piece of the log, and the orders in it."""
@@ -94,11 +102,14 @@ class Gone:
             self._add(one)
 
     def _add(self, one: Missing) -> None:
-        key = (one.mid, one.name)
-        if key not in self._left and len(self._left) >= _MOST:
-            key, one = ("*", "*"), replace(one, mid="*", name="*")
-        known = self._left.get(key)
-        self._left[key] = one if known is None else replace(known, count=known.count + one.count)
+        of = self._left.get(one.mid, {})
+        if one.name not in of and (self._size >= _MOST or len(of) >= _MOST_OF_ONE):
+            one = replace(one, mid="*", name="*")
+            of = self._left.get("*", {})
+        known = of.get(one.name)
+        self._size += known is None
+        of[one.name] = one if known is None else replace(known, count=known.count + one.count)
+        self._left[one.mid] = of
 
 
 def told(left: Iterable[Missing]) -> Iterator[str]:

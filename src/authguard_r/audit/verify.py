@@ -199,7 +199,10 @@ class Verifier:
         #: The sizes at which something is known: no piece goes beyond the next of them.
         self.cuts = tuple(dict.fromkeys(anchor.size for anchor in ordered))
         self._against = _Against(ordered)
-        self._chain = _Chain()
+        signed = [anchor.size for anchor in ordered if anchor.by != "claimed"]
+        #: An order to destroy counts only in the part that is signed for; None: nothing is.
+        self._vouched = max(signed, default=None)
+        self._chain = _Chain(vouched=self._vouched)
         self._misfit = self._against.fault(GENESIS, 0)
 
     def join(self, piece: Piece) -> bool:
@@ -211,6 +214,8 @@ class Verifier:
         follows = (piece.first, piece.prev) == (chain.size, chain.head)
         if self._misfit or not follows or (known is not None and piece.size > known.size):
             return False
+        if piece.orders and self._vouched is not None and piece.size > self._vouched:
+            return False  # they explain nothing, and nothing of the piece
         chain.size, chain.head = piece.size, b64(piece.link)
         chain.gone.join(piece.orders, piece.missing)
         self._misfit = self._against.joined(piece)
@@ -354,9 +359,13 @@ class _Chain:
     Args:
         size: number of records before the next row.
         head: the last of their links, base64url.
+        vouched: orders to destroy count before this record only; None: everywhere.
     """
 
-    def __init__(self, size: int = 0, head: str = b64(GENESIS)) -> None:
+    def __init__(
+        self, size: int = 0, head: str = b64(GENESIS), *, vouched: int | None = None
+    ) -> None:
+        self._vouched = vouched
         self.size = size
         self.head = head
         self.gone = Gone()
@@ -395,7 +404,7 @@ class _Chain:
             if fault:
                 return fault
             self.gone.take(seq, link.mid, committed, named.names)
-        if record.kind == "management":
+        if record.kind == "management" and (self._vouched is None or seq < self._vouched):
             self.gone.hear(link.decision, record.open)
         self.size, self.head = seq + 1, head
         return ""

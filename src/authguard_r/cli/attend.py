@@ -22,6 +22,7 @@ from authguard_r.cli.gateway import (
 )
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
+from authguard_r.cli.log_reading import strange
 from authguard_r.cli.mission import TokenArgument
 from authguard_r.cli.offline import CounterOption
 from authguard_r.cli.orders import CertOption, KeyOption, TemplateOption, signed_order
@@ -199,7 +200,8 @@ def explain_command(
     if store is not None:
         if gate is not None:
             raise typer.BadParameter("not together with --gate", param_hint="--store")
-        told = explained(read_rows(store), seq)
+        with strange():
+            told = explained(read_rows(store), seq)
     else:
         with connected(gate, role, trust) as client:
             told = client.explain(seq)

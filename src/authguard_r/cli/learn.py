@@ -14,6 +14,7 @@ import typer
 from authguard_r.audit.verify import Row
 from authguard_r.cli.exported import exported_rows
 from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
+from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import open_log
 from authguard_r.cli.opening import ReaderOption, opening_of
 from authguard_r.cli.out import emit
@@ -73,7 +74,7 @@ def _rows(path: Path) -> Iterator[Iterable[Row]]:
         if not is_store:
             yield exported_rows(path)
             return
-    with open_log(path) as held:
+    with strange(), open_log(path) as held:
         yield held.rows
 
 

@@ -31,9 +31,24 @@ def reading(store: Path, opening: Opening | None = None) -> Iterator[Log]:
         StoreError: another process has it open.
     """
     try:
-        with open_log(store) as log:
+        with strange(), open_log(store) as log:
             yield log if opening is None else replace(log, rows=opening.rows(log.rows))
     except StoreError as error:
-        if error.reason in {Reason.STORE_CORRUPT, Reason.STORE_NEWER} or not store.is_file():
-            raise MalformedError(error.message, where=str(store), reason=error.reason) from error
+        if store.is_file():
+            raise
+        raise MalformedError(error.message, where=str(store), reason=error.reason) from error
+
+
+@contextmanager
+def strange() -> Iterator[None]:
+    """Tell a file that is no whole store from one that cannot be read now.
+
+    Raises:
+        MalformedError: it holds nothing that can be read.
+    """
+    try:
+        yield
+    except StoreError as error:
+        if error.reason in {Reason.STORE_CORRUPT, Reason.STORE_NEWER}:
+            raise MalformedError(error.message, where=error.where, reason=error.reason) from error
         raise

@@ -24,6 +24,7 @@ from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.core.safety import Hazard
 from authguard_r.gate.explain import hazards_of, verdict_of, who_of
 
 #: How much of a digest a line shows; `--json` has all of it.
@@ -32,7 +33,7 @@ _SHORT = 12
 _WAITING = 256
 #: Releases whose end is still to come; more than any robot has.
 _OPEN = 1_024
-_REASONS = frozenset(map(str, Reason))
+_REASONS = frozenset(map(str, (*Reason, *Hazard)))
 _NOTHING = Closed()
 
 

@@ -14,6 +14,7 @@ from authguard_r.audit.record import Record, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import Log, open_log
 from authguard_r.cli.opening import ReaderOption, opening_of
 from authguard_r.cli.out import emit
@@ -32,7 +33,7 @@ def prompts_command(
 ) -> int:
     """Say how often people were asked: signatures, approval requests and choices, per mission."""
     opening = opening_of(reader, passphrase_file)
-    with open_log(store) as log:
+    with strange(), open_log(store) as log:
         rows = list(opening.rows(log.rows))
     records = [read_record(row.record, where=f"record {row.seq}") for row in rows]
     standings = _held(store, records) if log.gate is None else _told(log, rows, records)

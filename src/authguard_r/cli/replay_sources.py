@@ -134,8 +134,8 @@ class Sources:
         self._lists = 0
         self._facts: SiteFacts | None = None
         self._plain_facts: dict[str, Any] = {}
-        #: The log's size after the last end of a motion, once its decisions name fences.
-        self._fence, self._has_fences = 0, False
+        #: The least fence that a decision may name, and whether the log's decisions name any.
+        self._fence, self._ended, self._has_fences = 0, 0, False
         self._no_site = "neither site nor mission is in this part of a log"
         self._missions: OrderedDict[str, _Kept] = OrderedDict()
         self._gone: OrderedDict[str, str] = OrderedDict()
@@ -145,10 +145,11 @@ class Sources:
     def note(self, record: Record, values: dict[str, Any]) -> Forged | None:
         """Take in what a record says of later decisions; return what does not hold of it."""
         if ends_motion(record.kind, record.link.decision):
-            self._fence = record.link.seq + 1
+            self._fence, self._ended = self._fence + 1, record.link.seq
         try:
             if record.kind == "genesis":
                 self._begin(record, values)
+                self._fence = record.link.time_ms
                 self.second.configure(record, values, "safety")
             elif record.kind == "management" and record.link.decision == "configuration":
                 self.second.configure(record, values, "digest")
@@ -169,12 +170,12 @@ class Sources:
     def inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
         """Return everything that a decision was made of, or why that cannot be said."""
         found = self._inputs(record, values)
-        self.pass_by(record, values)
-        return found
+        wrong = self.pass_by(record, values)
+        return Forged(wrong) if wrong and not isinstance(found, Forged) else found
 
-    def pass_by(self, record: Record, values: dict[str, Any]) -> None:
-        """Count what a decision released, whether it is decided again or not."""
-        self._standings.note(record, values)
+    def pass_by(self, record: Record, values: dict[str, Any]) -> str:
+        """Count what a decision released, decided again or not; return what does not hold of it."""
+        return self._standings.note(record, values)
 
     def _inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
         gone = _not_there(record, values)
@@ -224,10 +225,11 @@ class Sources:
                 raise MalformedError("no safety configuration comes before it", where="safety")
             if self._has_fences and state.fence < self._fence:
                 raise MalformedError(
-                    f"a motion ended with record {self._fence - 1}, and state from before it was "
+                    f"a motion ended with record {self._ended}, and state from before it was "
                     f"taken: expected at least fence {self._fence}, got {state.fence}",
                     where="state.fence",
                 )
+            self._fence = max(self._fence, state.fence)
 
     def _lacking(self, record: Record, digest: str, values: dict[str, Any]) -> str | None:
         """Return what of the log a decision needs and does not have, None when it has all."""

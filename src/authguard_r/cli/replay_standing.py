@@ -19,6 +19,8 @@ from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.standing import Outcome, Standing
 
+#: So many tickets are named for one standing.
+_NAMED = 8
 _OUTCOMES = frozenset(map(str, Outcome))
 _GOES_ON = frozenset((now, Status.SUSPENDED) for now in (Status.ACTIVE, Status.CLOSING))
 
@@ -55,12 +57,14 @@ class Standings:
         if kind == "management" and isinstance(record.open.get("status"), str):
             counted.status = record.open["status"]
         if kind == "decision" and record.open.get("ticket") != NONE:
-            grant = GrantId(str(record.open.get("grant")))
-            counted.open[Digest(str(record.open.get("ticket")))] = grant
+            grant, ticket = GrantId(str(record.open.get("grant"))), str(record.open.get("ticket"))
+            is_twice = ticket in counted.open
+            counted.open[Digest(ticket)] = grant
             counted.starts[grant] += 1
-        elif kind == "outcome":
+            return "it is released already, and has no outcome yet" if is_twice else ""
+        if kind == "outcome":
             return self._settle(mid, Digest(str(record.open.get("ticket"))), said)
-        elif kind == "management" and said == "resolve":
+        if kind == "management" and said == "resolve":
             command = values.get("command")
             if not isinstance(command, dict):
                 counted.may_settle = True  # it is sealed, or was destroyed
@@ -68,7 +72,7 @@ class Standings:
             return self._settle(
                 mid, Digest(str(command.get("ticket"))), str(command.get("outcome"))
             )
-        elif kind == "management" and said == "recover":
+        if kind == "management" and said == "recover":
             counted.may_settle = True  # by attested state
         return ""
 
@@ -94,7 +98,10 @@ class Standings:
             return "a standing of a mission that was never active"
         if counted.may_settle:
             _settle_as(counted, standing)
-        return "; ".join(_differences(counted, standing))
+        found = "; ".join(_differences(counted, standing))
+        if found:
+            _adopt(counted, standing)
+        return found
 
 
 def _settle_as(counted: _Counted, standing: Standing) -> None:
@@ -109,6 +116,14 @@ def _settle_as(counted: _Counted, standing: Standing) -> None:
     counted.may_settle = False
 
 
+def _adopt(counted: _Counted, standing: Standing) -> None:
+    """Count on from a standing that differed: it is told once, however many follow it."""
+    counted.version, counted.status = standing.version, standing.status
+    counted.open = {release.ticket: release.grant for release in standing.open}
+    counted.starts = Counter({grant: use.starts for grant, use in standing.uses.items()})
+    counted.successes = Counter({grant: use.successes for grant, use in standing.uses.items()})
+
+
 def _differences(counted: _Counted, standing: Standing) -> Iterator[str]:
     # a mission ends and closes by itself; it is suspended, and goes on, by somebody's word alone
     if standing.version != counted.version:
@@ -117,13 +132,18 @@ def _differences(counted: _Counted, standing: Standing) -> Iterator[str]:
     if was != now and (now, was) in {(Status.SUSPENDED, Status.ACTIVE), *_GOES_ON}:
         yield f"the mission is {now}, and by the records before it {was}"
     opened = {release.ticket for release in standing.open}
-    for ticket in sorted(opened - set(counted.open)):
+    for ticket in sorted(opened - set(counted.open))[:_NAMED]:
         yield f"the standing has `{ticket}` open, and no record before it released that"
-    for ticket in sorted(set(counted.open) - opened):
+    for ticket in sorted(set(counted.open) - opened)[:_NAMED]:
         yield f"`{ticket}` was released before it and has no outcome, and the standing has it not"
-    for name, theirs in (("starts", counted.starts), ("successes", counted.successes)):
-        for grant in sorted({*theirs, *standing.uses}):
+    sums = (standing.actions, counted.starts.total()), (standing.order, counted.successes.total())
+    for name, (has, theirs) in zip(("actions", "order"), sums, strict=True):
+        if has != theirs:
+            yield f"the standing has {name} {has}, and by the records before it {theirs}"
+    for name, by_grant in (("starts", counted.starts), ("successes", counted.successes)):
+        for grant in sorted({*by_grant, *standing.uses}):
             use = standing.uses.get(grant)
             has = 0 if use is None else getattr(use, name)
-            if has != theirs[grant]:
-                yield f"grant `{grant}` has {has} {name}, and the records before it {theirs[grant]}"
+            if has != by_grant[grant]:
+                told = f"the records before it {by_grant[grant]}"
+                yield f"grant `{grant}` has {has} {name}, and {told}"

@@ -45,6 +45,7 @@ from authguard_r.core.token import read_token
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.management.configurations import Configuration, Part
 from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import How
 from authguard_r.report import Report, average_deviation, plan_deviation
@@ -167,11 +168,12 @@ def run_command(
     if safety is not None:
         config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)
     path = store or Path(tempfile.mkdtemp(prefix="authguard-")) / "robot.db"
+    bound = read_binding(binding, model)
     with told_of(beside_store(path), path):
         simulation = simulate(
             trust,
             model,
-            read_binding(binding, model),
+            bound,
             rid=rid,
             start_ms=max(instant.utc_ms, store_clock(path).wall_ms() if now is None else 0),
             store=path,
@@ -181,7 +183,7 @@ def run_command(
             counter=counter_of(path, counter),
         )
     try:
-        _hold(simulation, config or default_config(model, rid))
+        _hold(simulation, config or default_config(model, rid), bound)
         mid = _activate(simulation, read_file(token))
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
@@ -213,17 +215,22 @@ def stop_command(
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
     with offline(place) as gate:
         gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
-    said = "recorded in the store alone, no robot was reached"
-    line = f"{said}; the mission goes on after `authguard mission resume`"
-    emit({"stopped": True, "by_gate": False}, [line], as_json=as_json)
-    return 0
+    line = (
+        "no gate answered and no robot was reached: the stop is recorded in the store alone. "
+        "The mission goes on after `authguard mission resume`"
+    )
+    emit({"stopped": False, "recorded": True, "by_gate": False}, [line], as_json=as_json)
+    return 5
 
 
-def _hold(simulation: Simulation, config: SafetyConfig) -> None:
+def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
     """Hold what is in force against what the store has seen (`gate.configured`)."""
-    part = Configuration(digest=safety_digest(config), version=config.version)
+    parts = {
+        Part.BINDING: Configuration(digest=binding_digest(binding)),
+        Part.SAFETY: Configuration(digest=safety_digest(config), version=config.version),
+    }
     sealed: dict[Part, dict[str, object]] = {Part.SAFETY: {"safety": config}}
-    simulation.gate.management.hold_configurations({Part.SAFETY: part}, sealed=sealed)
+    simulation.gate.management.hold_configurations(parts, sealed=sealed)
 
 
 def _activate(simulation: Simulation, token: bytes) -> MissionId:

@@ -17,6 +17,7 @@ from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import NoteKey, read_key, read_note
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.log_reading import strange
 from authguard_r.cli.out import emit
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.encoding import b64
@@ -42,12 +43,13 @@ def segments_command(
     up to it. The values in a segment are verified with the whole log, by `audit verify`.
     """
     keys = tuple(read_key(text, where="--key") for text in key or ())
-    mark, folder = _mark(store), Folder(store)
-    told = list(_told(folder, keys))
-    end = told[-1]["end"] if told else 0
-    if end < mark:
-        text = f"the segment with record {end} is missing: the store has moved {mark} records"
-        raise StoreError(text, where=folder.place(name_of(end)), reason=Reason.STORE_CORRUPT)
+    with strange():
+        mark, folder = _mark(store), Folder(store)
+        told = list(_told(folder, keys))
+        end = told[-1]["end"] if told else 0
+        if end < mark:
+            text = f"the segment with record {end} is missing: the store has moved {mark} records"
+            raise StoreError(text, where=folder.place(name_of(end)), reason=Reason.STORE_CORRUPT)
     emit({"store": str(store), "segments": told}, _lines(told), as_json=as_json)
     return 0
 

@@ -13,7 +13,7 @@ from msgspec import Struct
 from authguard_r.core.checks.approval import Need
 from authguard_r.core.finding import Findings
 from authguard_r.core.mission import Row
-from authguard_r.core.reasons import RETRYABLE, Reason
+from authguard_r.core.reasons import Reason, may_pass_later
 from authguard_r.core.token import IndexedGrant
 
 
@@ -59,4 +59,4 @@ class Decision(Struct, frozen=True, kw_only=True):
     @property
     def retryable(self) -> bool:
         """True when the same proposal may pass later without a new signature."""
-        return bool(self.findings) and all(f.reason in RETRYABLE for f in self.findings)
+        return may_pass_later(self.reasons)

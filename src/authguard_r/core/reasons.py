@@ -143,25 +143,28 @@ PROTECTED: tuple[Reason, ...] = (
 )
 
 #: Reasons that can pass without a new signature: the same proposal may be tried again later.
-RETRYABLE: frozenset[Reason] = frozenset(
-    {
-        Reason.NOT_YET_VALID,
-        Reason.REVOCATION_STALE,
-        Reason.MISSION_NOT_ACTIVE,
-        Reason.MISSION_SUSPENDED,
-        Reason.SOURCE_NOT_ATTESTED,
-        Reason.ORDER_VIOLATED,
-        Reason.RATE_EXCEEDED,
-        Reason.STATE_MISSING,
-        Reason.STATE_BEFORE_MOTION,
-        Reason.STATE_STALE,
-        Reason.GUARD_FALSE,
-        Reason.APPROVAL_TIMEOUT,
-        Reason.APPROVAL_REQUIRED,
-        Reason.STORE_UNAVAILABLE,
-        Reason.STORE_FULL,
-        Reason.CLOCK_BEHIND,
-        Reason.CONTROLLER_FAILED,
-        Reason.BUSY,
-    }
+RETRYABLE: tuple[Reason, ...] = (
+    Reason.NOT_YET_VALID,
+    Reason.REVOCATION_STALE,
+    Reason.MISSION_NOT_ACTIVE,
+    Reason.MISSION_SUSPENDED,
+    Reason.SOURCE_NOT_ATTESTED,
+    Reason.ORDER_VIOLATED,
+    Reason.RATE_EXCEEDED,
+    Reason.STATE_MISSING,
+    Reason.STATE_BEFORE_MOTION,
+    Reason.STATE_STALE,
+    Reason.GUARD_FALSE,
+    Reason.APPROVAL_TIMEOUT,
+    Reason.APPROVAL_REQUIRED,
+    Reason.STORE_UNAVAILABLE,
+    Reason.STORE_FULL,
+    Reason.CLOCK_BEHIND,
+    Reason.CONTROLLER_FAILED,
+    Reason.BUSY,
 )
+
+
+def may_pass_later(reasons: tuple[Reason, ...]) -> bool:
+    """Say whether a refusal for these may pass later: newer state may mend the others, too."""
+    return Reason.STATE_BEFORE_MOTION in reasons or bool(reasons and {*reasons} <= {*RETRYABLE})

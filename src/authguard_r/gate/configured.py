@@ -25,17 +25,16 @@ def hold_configured(parts: Parts, management: Management) -> None:
     Raises:
         RefusedError: a signed part is older than one that was in force here.
     """
-    management.hold_policy(parts.risk)
     config, safety, emergency = parts.config, parts.safety, Configuration(digest=NONE)
     if parts.emergency is not None:
         opened = parts.emergency.policy
         emergency = Configuration(digest=opened.digest, version=opened.policy.version)
-    management.hold_configurations(
-        {
-            Part.BINDING: Configuration(digest=binding_digest(parts.binding)),
-            Part.EMERGENCY: emergency,
-            Part.GATE: Configuration(digest=digest_of(Tag.GATE, config), version=config.version),
-            Part.SAFETY: Configuration(digest=safety_digest(safety), version=safety.version),
-        },
-        sealed={Part.SAFETY: {"safety": safety}},
-    )
+    configured = {
+        Part.BINDING: Configuration(digest=binding_digest(parts.binding)),
+        Part.EMERGENCY: emergency,
+        Part.GATE: Configuration(digest=digest_of(Tag.GATE, config), version=config.version),
+        Part.SAFETY: Configuration(digest=safety_digest(safety), version=safety.version),
+    }
+    management.require_configurations(configured)  # while the clock is behind, too
+    management.hold_policy(parts.risk)
+    management.hold_configurations(configured, sealed={Part.SAFETY: {"safety": safety}})

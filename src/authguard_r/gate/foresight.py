@@ -21,20 +21,6 @@ from authguard_r.report import Judged, behind_of
 from authguard_r.running import quietly
 from authguard_r.safety.kept import memory_of
 
-#: What newer state can mend: what is not known, and what follows from it. A place that is not
-#: known is no source either.
-_MENDED = frozenset(
-    {
-        Reason.STATE_BEFORE_MOTION,
-        Reason.SOURCE_OUT_OF_SCOPE,
-        Reason.DESTINATION_OUT_OF_SCOPE,
-        Reason.PROVENANCE_DENIED,
-        Reason.APPROVAL_REQUIRED,
-        Reason.APPROVAL_TIMEOUT,
-    }
-)
-
-
 #: What the second gate says for want of newer state.
 _UNKNOWN = frozenset({Hazard.STATE_UNKNOWN, Hazard.NOT_EXECUTABLE})
 
@@ -119,10 +105,10 @@ class Foresight:
         )
 
     def _is_early(self, step: Step) -> bool:
-        """True while state from after the last motion is all that an acceptance lacks.
+        """True while the decision rests on state from before the last motion.
 
-        A value from before it makes a guard or a place unknown, and a risk higher. What else is
-        wrong with a step, no state mends; whatever goes wrong here, the decision itself says.
+        Such state makes a guard or a place unknown, another grant than the right one the closest,
+        and a risk higher. Whatever goes wrong here, the decision itself says.
         """
         gate, intake = self._gate, self._gate.enforcer.intake
         try:
@@ -139,5 +125,5 @@ class Foresight:
             return bool(unsafe) and {finding.hazard for finding in unsafe} <= _UNKNOWN
         policies = (judged.verified.mission.risk_policy, *gate.facts.risk)
         risky = {one.guard.variable for policy in policies for one in policy.states}
-        rests = Reason.STATE_BEFORE_MOTION in reasons or not risky.isdisjoint(behind)
-        return rests and bool(reasons) and set(reasons) <= _MENDED
+        asks = {Reason.APPROVAL_REQUIRED, Reason.APPROVAL_TIMEOUT} >= set(reasons)
+        return Reason.STATE_BEFORE_MOTION in reasons or (asks and not risky.isdisjoint(behind))

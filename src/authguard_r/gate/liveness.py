@@ -13,8 +13,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from msgspec import Struct
+
 from authguard_r.core.decision import Verdict
-from authguard_r.core.identifiers import Identifier
+from authguard_r.core.identifiers import Digest, Identifier
+from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.standing import Outcome
 from authguard_r.gate.config import GateConfig
@@ -27,6 +30,23 @@ _SHOWN = 20
 _COUNTED = 1_024
 #: What is said of a controller that is not there.
 _AWAY = "controller is not connected"
+#: Alerts about a mission: each ends when that mission ends or another one is activated.
+_OF_MISSION = ("planner stops", "false emergency")
+#: Alerts about a user's row: each ends when the user succeeds, or when the mission changes.
+_OF_ROW = ("no progress", "a person is asked")
+
+
+class MissionPhase(Struct, frozen=True):
+    """A mission that has not ended, and how it stands."""
+
+    mid: str
+    version: int
+    status: Status
+
+    @property
+    def runs(self) -> bool:
+        """True while planners may act."""
+        return self.status in {Status.ACTIVE, Status.CLOSING}
 
 
 class Liveness:
@@ -50,7 +70,10 @@ class Liveness:
         self._heard: dict[ClientRole, int] = {}
         self._holding: set[str] = set()
         self._refused: dict[str, int] = {}
-        self._asked: set[str] = set()
+        self._asked: dict[str, Digest] = {}
+        self._phase: MissionPhase | None = None
+        #: Says which mission has not ended; the gate's `View` sets it.
+        self.mission: Callable[[], MissionPhase | None] = lambda: None
         self._active = False
         self._since_ms = mono_ms()
         self.alerts: deque[dict[str, Any]] = deque(maxlen=_SHOWN)
@@ -88,6 +111,7 @@ class Liveness:
             only_counts: refusals are counted and not recorded, for want of room.
             has_store: the store's file is where it was opened.
         """
+        self.follow()
         if active and not self._active:
             self._since_ms = self._mono_ms()  # silence counts from the mission's begin
         self._active = active
@@ -115,17 +139,33 @@ class Liveness:
             self._holding.discard(what)
             self.end(what)
 
+    def follow(self) -> MissionPhase | None:
+        """End the alerts about a mission that has changed since; return the mission of now.
+
+        To be called before such an alert is raised, or it would end with the mission before.
+        """
+        before, self._phase = self._phase, self.mission()
+        if self._phase != before:
+            self._refused.clear()
+            self._asked.clear()
+            kept = None if before is None else before.mid
+            is_same = self._phase is not None and self._phase.mid == kept
+            for what in _OF_ROW if is_same else (*_OF_ROW, *_OF_MISSION):
+                self.end(what)
+        return self._phase
+
     def judge(self, client: Identifier, report: Report) -> bool:
         """Count refusals in a row; True when it is time to stop the robot.
 
-        Where the mission says that a person is asked, the first of a user's row asks.
+        Where the mission says that a person is asked, the first of a user's row asks. Neither
+        alert is raised while no mission runs: then no planner can succeed.
         """
         user = client.partition(".")[0]  # under all its names: another name is no progress
         if report.outcome is Outcome.SUCCEEDED:
             self._refused.pop(user, None)
             self._refused.pop(client, None)
-            self._asked.discard(user)
-            for what in ("no progress", "a person is asked"):
+            self._asked.pop(user, None)
+            for what in _OF_ROW:
                 self.end(what, user=user)
             return False
         self._ask(client, user, report)
@@ -133,6 +173,8 @@ class Liveness:
             return False  # it got somewhere, if not to the end
         rows = {self._count(client), self._count(user)}
         if self._config.refusals not in rows:  # once for each row of them; 0 is never reached
+            return False
+        if not self._runs():
             return False
         self.alert("no progress", {"client": client, "refusals": self._config.refusals})
         return True
@@ -142,10 +184,18 @@ class Liveness:
         judged = report.judged
         if judged is None or judged.verified.mission.on_refusal is not OnRefusal.ASK:
             return
-        if judged.decision.verdict is Verdict.REQUEST_APPROVAL or user in self._asked:
+        if judged.released and report.outcome is None:
+            return  # it has just begun
+        mission = judged.verified.digest
+        if judged.decision.verdict is Verdict.REQUEST_APPROVAL or self._asked.get(user) == mission:
             return  # an approval's request asks by itself
-        self._asked.add(user)
-        self.alert("a person is asked", {"client": client, "decision": report.seq})
+        if self._runs():
+            self._asked[user] = mission
+            self.alert("a person is asked", {"client": client, "decision": report.seq})
+
+    def _runs(self) -> bool:
+        phase = self.follow()
+        return phase is not None and phase.runs
 
     def _count(self, who: str) -> int:
         count = self._refused.pop(who, 0) + 1

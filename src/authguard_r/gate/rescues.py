@@ -94,6 +94,7 @@ class Rescues:
         self._running: _Asked | None = None
         self._answers: dict[tuple[str, ClientRole], _Answers] = {}
         self._false: OrderedDict[str, int] = OrderedDict()
+        self._false_in: str | None = None
         self._met: set[Identifier] = set()
         self._failed: dict[Identifier, int] = {}
         self._flushed_ms = 0
@@ -198,6 +199,7 @@ class Rescues:
 
     def _ended(self, asked: _Asked, ended: Rescued) -> None:
         self._running = None
+        self._liveness.end("emergency")
         self._answer(asked, ended)
 
     def _answer(self, asked: _Asked, ended: Rescued) -> None:
@@ -215,7 +217,14 @@ class Rescues:
         asked.tell(rescued_json(Rescued(call=call, reasons=findings)))
 
     def _count(self, asked: _Asked, call: Call, findings: Findings) -> None:
-        """Raise an alert at a user's first false call, the tenth, the hundredth, and so on."""
+        """Raise an alert at a user's first false call, the tenth, the hundredth, and so on.
+
+        Each mission begins the count anew, for the alert ends with it.
+        """
+        phase = self._liveness.follow()
+        before, self._false_in = self._false_in, None if phase is None else phase.mid
+        if self._false_in != before:
+            self._false.clear()
         user = _user_of(asked.name)
         count = self._false.pop(user, 0) + 1
         self._false[user] = count

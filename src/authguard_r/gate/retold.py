@@ -15,7 +15,7 @@ from authguard_r.audit.record import NONE, Record, Sealed
 from authguard_r.core.action import Action
 from authguard_r.core.errors import StoreError
 from authguard_r.core.finding import Finding
-from authguard_r.core.reasons import RETRYABLE, Reason
+from authguard_r.core.reasons import Reason, may_pass_later
 from authguard_r.report import NOT_EVALUATED
 from authguard_r.shapes import action_json, finding_json
 
@@ -52,7 +52,7 @@ def retold(
                 "digest": opened["mission"],
             },
             "action_digest": link.action,
-            "retryable": bool(findings) and all(f["reason"] in RETRYABLE for f in findings),
+            "retryable": may_pass_later(tuple(Reason(f["reason"]) for f in findings)),
             "authoritative": True,
             "action": _action(sealed),
             "safety": _safety(opened["safety"]),

@@ -22,6 +22,8 @@ from authguard_r.wire.messages import ClientRole, StopHeard
 _KNOWN = 4_096
 #: What is said while no stop is heard of.
 _GONE = "the stop lane is gone"
+#: What is said while the lane is connected and does not answer.
+_SILENT = "the stop lane does not answer"
 
 
 class StopBook:
@@ -85,12 +87,13 @@ class StopBook:
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
         """Say that no stop is heard of until the lane is back."""
+        self._liveness.holds(_SILENT, is_so=False)
         self._liveness.holds(_GONE, is_so=True, details={} if why is None else {"why": str(why)})
 
     def lane_silent(self, *, is_silent: bool) -> None:
         """Say that the lane is there and does not answer, or does again."""
         self._liveness.holds(_GONE, is_so=False)
-        self._liveness.holds("the stop lane does not answer", is_so=is_silent)
+        self._liveness.holds(_SILENT, is_so=is_silent)
 
     def _record(self, heard: StopHeard, by: Identifier) -> None:
         too_many = self._enforcer.stopped(
@@ -106,5 +109,6 @@ class StopBook:
             why=heard.why,
         )
         if too_many:
+            self._liveness.follow()
             self._liveness.tell("planner stops", {"by": by})
             self._notices.publish({"event": "alert", "what": "planner stops", "by": by})

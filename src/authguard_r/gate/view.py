@@ -18,6 +18,7 @@ from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, ClockError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId
+from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import Turn
 from authguard_r.core.quantities import to_timestamp
@@ -26,7 +27,7 @@ from authguard_r.core.standing import Standing, use_of
 from authguard_r.gate.clients import Client
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.explain import explanation, is_refused_proposal, no_record
-from authguard_r.gate.liveness import Liveness
+from authguard_r.gate.liveness import Liveness, MissionPhase
 from authguard_r.gate.motions import Motions
 from authguard_r.ledger import Act, stop_stands
 from authguard_r.report import Report
@@ -46,7 +47,7 @@ class View:
         gate: ledger and facts.
         config: mode and bounds.
         motions: open leases.
-        liveness: who was heard of, and the alerts.
+        liveness: who was heard of, and the alerts; it asks this view which mission is active.
         clients: who is connected.
     """
 
@@ -63,6 +64,7 @@ class View:
         self._config = config
         self._motions = motions
         self._liveness = liveness
+        liveness.mission = self.phase
         self._clients = clients
         self._since_ms = gate.ledger.mono_ms()
         self._known: dict[str, Any] | None = None
@@ -84,11 +86,18 @@ class View:
     @property
     def has_mission(self) -> bool:
         """True while a mission is active."""
+        phase = self.phase()
+        return phase is not None and phase.runs
+
+    def phase(self) -> MissionPhase | None:
+        """Return how the active mission stands; None once it has ended."""
         try:
             mission = self._active()
         except StoreError:  # a disk that is gone silences nobody's alerts
             mission = self._known
-        return mission is not None and mission["status"] in {"active", "closing"}
+        if mission is None or mission["status"] in TERMINAL:
+            return None
+        return MissionPhase(mission["mid"], mission["version"], Status(mission["status"]))
 
     @property
     def mission_status(self) -> str | None:

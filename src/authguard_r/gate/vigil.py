@@ -6,7 +6,7 @@ Spec page: docs/spec/rollback.md#checkpoints, docs/spec/store.md#rotation
 
 from __future__ import annotations
 
-from authguard_r.anchoring.anchor import Anchor, Told
+from authguard_r.anchoring.anchor import WHAT, Anchor, Told
 from authguard_r.anchoring.notary import NotaryPolicy
 from authguard_r.anchoring.quorum import WitnessPolicy
 from authguard_r.anchoring.rotation import Rotation, RotationPolicy
@@ -56,7 +56,10 @@ class Vigil:
         """Make a checkpoint if one is due, see to the witnesses, move records, tell of all that."""
         for told in self._anchor.tick():
             self._tell(told)
-        if self.rotation is not None and not self._anchor.put_back():
+        if self._anchor.put_back():
+            return
+        self._liveness.end(WHAT)  # a person has accepted the store, if it was put back
+        if self.rotation is not None:
             for told in self.rotation.tick():
                 self._tell(told)
 

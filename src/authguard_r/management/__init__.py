@@ -25,7 +25,12 @@ from authguard_r.core.token import read_token
 from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
 from authguard_r.management.activation import activate
-from authguard_r.management.configurations import Configuration, Part, hold_configurations
+from authguard_r.management.configurations import (
+    Configuration,
+    Part,
+    hold_configurations,
+    require_configurations,
+)
 from authguard_r.management.orders import carry_out, choose
 from authguard_r.management.parts import Parts, attempt, entry
 from authguard_r.management.policy import hold_policy
@@ -225,7 +230,16 @@ class Management:
         Raises:
             RefusedError: a signed part is older than one that was seen.
         """
+        self.require_configurations(parts)
         attempt(self._ledger, lambda act: hold_configurations(act, parts, sealed=sealed))
+
+    def require_configurations(self, parts: dict[Part, Configuration]) -> None:
+        """Refuse to go back, whatever the clock says.
+
+        Raises:
+            RefusedError: a signed part is older than one that was seen.
+        """
+        self._ledger.peek(lambda turn: require_configurations(turn, parts))
 
     def standing(self, mid: MissionId) -> Standing | None:
         """Return a mission's standing as it is held."""

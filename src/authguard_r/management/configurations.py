@@ -13,8 +13,10 @@ from msgspec import Struct
 from authguard_r.audit.record import NONE, read_record
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.identifiers import Count
+from authguard_r.core.lifecycle import Status
+from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
-from authguard_r.ledger import Act, read_held
+from authguard_r.ledger import STOP, Act, read_held
 from authguard_r.management.parts import entry, refuse
 
 _KIND = "configuration"
@@ -41,27 +43,41 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     version: Count = 0
 
 
+def require_configurations(turn: Turn, parts: dict[Part, Configuration]) -> None:
+    """Refuse to go back; this needs no clock.
+
+    Raises:
+        RefusedError: a signed part has a lower version than one that was in force here, or the
+            same version with another content (`SUPERSEDED`).
+    """
+    for part, now in sorted(parts.items()):
+        seen = _seen(turn, part)
+        if seen not in {None, now}:
+            _require_newer(part, now, seen)
+
+
+def _seen(turn: Turn | Act, part: Part) -> Configuration | None:
+    held = turn.get(_KIND, part)
+    return None if held is None else read_held(held, Configuration, _KIND)
+
+
 def hold_configurations(
     act: Act, parts: dict[Part, Configuration], *, sealed: dict[Part, dict[str, object]]
 ) -> None:
     """Hold what is in force from now on; what has changed since the last start is recorded.
 
+    `require_configurations` comes before.
+
     Args:
         act: the act.
         parts: what is in force.
         sealed: values that go beside the record of a part's change: what a replay needs of it.
-
-    Raises:
-        RefusedError: a signed part has a lower version than one that was in force here, or the
-            same version with another content (`SUPERSEDED`); nothing was changed.
     """
+    _stamp(act)
     for part, now in sorted(parts.items()):
-        held = act.get(_KIND, part)
-        seen = None if held is None else read_held(held, Configuration, _KIND)
+        seen = _seen(act, part)
         if now == seen:
             continue
-        if seen is not None:
-            _require_newer(part, now, seen)
         was = _begun_with(act, part) if seen is None else seen.digest
         if was not in {now.digest, None}:
             opened: dict[str, object] = {
@@ -73,6 +89,16 @@ def hold_configurations(
             }
             act.record(entry(act, NONE, opened, sealed.get(part)))
         act.put(_KIND, part, encode_fast(now))
+
+
+def _stamp(act: Act) -> None:
+    """In a store of before orders had times, what was stopped or suspended is so since now."""
+    now, mid = str(act.now.utc_ms).encode("ascii"), act.active()
+    if act.get(*STOP) == b"1":
+        act.put(*STOP, now)
+    standing = None if mid is None else act.standing(mid)
+    if standing is not None and standing.status is Status.SUSPENDED:
+        act.put("suspended", standing.mid, act.get("suspended", standing.mid) or now)
 
 
 def _begun_with(act: Act, part: Part) -> str | None:

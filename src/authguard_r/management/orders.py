@@ -69,12 +69,12 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
 
 
 def _require_newest(act: Act, command: Command) -> None:
-    """Refuse to resume, or to suspend, what was ordered otherwise after this was signed."""
+    """Refuse what would undo an order that was signed later; a release is resolved once only."""
     key = f"{command.mid}/command"
     if command.verb is Verb.RESUME:
         over_ms = halted_ms(act, command.mid)
         require_newest(act, key, command.issued_ms, over_ms=over_ms)
-    elif command.verb is Verb.SUSPEND and command.issued_ms:  # without a time it narrows, too
+    elif command.verb in EVENTS and command.issued_ms:  # without a time it narrows, too
         require_newest(act, key, command.issued_ms)
 
 

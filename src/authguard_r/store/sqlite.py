@@ -41,7 +41,7 @@ from authguard_r.store.segments import (
     read_forgets,
     read_index,
 )
-from authguard_r.store.strangers import in_order, open_stranger
+from authguard_r.store.strangers import Meter, in_order, open_stranger
 from authguard_r.store.turn import SqliteTurn
 
 T = TypeVar("T")
@@ -396,14 +396,13 @@ def _require_copies(connection: apsw.Connection, segments: Segments) -> None:
     rows = connection.execute(
         "SELECT seq, record, link FROM audit WHERE seq < ? ORDER BY seq", (segments.end,)
     )
+    meter = Meter(Path(connection.filename))
     for seq, record, link in rows:
+        meter.took(blob(record), blob(link))
         moved = segments.rows(seq, seq + 1)
         if [(row[1], row[3]) for row in moved] != [(record, link)]:
-            raise StoreError(
-                f"record {seq} lies here, and is not the one in its segment",
-                where=f"record {seq}",
-                reason=Reason.STORE_CORRUPT,
-            )
+            text, where = "it lies here, and is not the one in its segment", f"record {seq}"
+            raise StoreError(text, where=where, reason=Reason.STORE_CORRUPT)
 
 
 def _index(connection: apsw.Connection, folder: Folder) -> tuple[Segment, ...]:

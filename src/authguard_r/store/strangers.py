@@ -122,11 +122,12 @@ class Meter:
 
     Args:
         path: the file.
+        times: how often its bytes are read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, times: int = 1) -> None:
         self._path = path
-        self._left = _held_bytes(path) + MAX_CELL
+        self._left = times * _held_bytes(path) + MAX_CELL
 
     def took(self, *cells: bytes) -> None:
         """Count what was read.

@@ -6,12 +6,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Verdict
 from authguard_r.core.identifiers import Identifier
+from authguard_r.core.lifecycle import Status
 from authguard_r.core.reasons import Reason
-from authguard_r.gate.liveness import _COUNTED, _SHOWN, Liveness
+from authguard_r.gate.liveness import _COUNTED, _SHOWN, Liveness, MissionPhase
 from authguard_r.report import Refusal, Report
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import ClientRole
@@ -22,6 +24,7 @@ from unit.gate.robots import config
 REFUSED = Report(judged=None, refusal=Refusal(Reason.MALFORMED, "x", "y"))
 QUIET = {"planner_silence_ms": 1_000, "estimator_silence_ms": 500}
 CLIENT = Identifier("u1.planner")
+PHASE = MissionPhase("deliver-p1", 1, Status.ACTIVE)
 
 
 class Bench:
@@ -33,6 +36,14 @@ class Bench:
             self.clock.mono_ms,
             lambda what, _: self.raised.append(what),
         )
+        self.phase: MissionPhase | None = PHASE
+        self.liveness.mission = lambda: self.phase
+        self.liveness.follow()
+
+    def over(self, what: str) -> list[bool]:
+        """Return of each such alert whether it is over."""
+        alerts = [told for told in self.liveness.alerts if told["what"] == what]
+        return [told.get("over", False) for told in alerts]
 
     def after(self, ms: int, *, active: bool = True, controller: bool = True) -> list[str]:
         """Let time pass and check; return what is new."""
@@ -52,6 +63,22 @@ def test_one_alert_for_each_silence_and_another_after_it_was_broken() -> None:
     bench.liveness.hear(ClientRole.PLANNER)
     assert bench.after(1_000) == []
     assert bench.after(1) == ["planner is silent"]
+
+
+@pytest.mark.parametrize("role", [ClientRole.PLANNER, ClientRole.ESTIMATOR])
+def test_a_silence_is_over_with_the_next_word_or_with_the_mission(role: ClientRole) -> None:
+    bench, what = Bench(estimator_silence_ms=1_000), f"{role} is silent"
+    bench.after(0)
+    bench.after(1_000)
+    assert bench.over(what) == []
+    bench.after(1)
+    assert bench.over(what) == [False]
+    bench.liveness.hear(role)
+    assert bench.over(what) == [True]
+    bench.after(1_001)
+    assert bench.over(what) == [True, False]
+    bench.after(1, active=False)
+    assert bench.over(what) == [True, True]
 
 
 def test_nobody_has_to_speak_without_a_mission_and_silence_counts_from_its_begin() -> None:
@@ -159,6 +186,56 @@ def test_a_person_is_asked_once_for_a_row_where_the_mission_says_so() -> None:
     bench.liveness.judge(Identifier("u1.a"), released(succeeds=True))
     bench.liveness.judge(Identifier("u1.a"), refused)
     assert bench.raised == ["a person is asked"] * 3
+
+
+CHANGES = {
+    "suspended": replace(PHASE, status=Status.SUSPENDED),
+    "closing": replace(PHASE, status=Status.CLOSING),
+    "next version": replace(PHASE, version=2),
+    "another mission": replace(PHASE, mid="another"),
+    "ended": None,
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_alerts_about_a_mission_are_over_once_it_has_changed(change: str) -> None:
+    bench = Bench(refusals=1)
+    after, row = CHANGES[change], ("no progress", "a person is asked")
+    bench.after(0)
+    bench.liveness.judge(CLIENT, asking(scenarios.navigate("dock", "office-1")))
+    for what in ("planner stops", "false emergency"):
+        bench.liveness.tell(what, {})
+    bench.after(0)
+    assert not any(told.get("over") for told in bench.liveness.alerts)
+    bench.phase = after
+    bench.after(0)
+    assert [bench.over(what) for what in row] == [[True], [True]]
+    has_ended = after is None or after.mid != PHASE.mid
+    for what in ("planner stops", "false emergency"):
+        assert bench.over(what) == [has_ended]
+
+
+def test_what_is_raised_right_after_a_mission_began_is_not_over_with_the_one_before() -> None:
+    bench = Bench(refusals=1)
+    bench.after(0)
+    bench.liveness.judge(CLIENT, REFUSED)
+    bench.phase = replace(PHASE, mid="another")
+    bench.liveness.judge(Identifier("u2.planner"), REFUSED)
+    bench.after(0)
+    assert bench.over("no progress") == [True, False]
+
+
+@pytest.mark.parametrize("change", ["suspended", "ended"])
+def test_who_cannot_succeed_makes_no_row_and_asks_nobody(change: str) -> None:
+    bench = Bench(refusals=2)
+    refused = asking(scenarios.navigate("dock", "office-1"))
+    bench.phase = CHANGES[change]
+    assert not any(bench.liveness.judge(CLIENT, refused) for _ in range(5))
+    assert bench.raised == []
+    bench.phase = PHASE
+    bench.after(0)
+    assert [bench.liveness.judge(CLIENT, refused) for _ in range(2)] == [False, True]
+    assert bench.raised == ["a person is asked", "no progress"]
 
 
 def test_nobody_is_asked_what_an_approvals_request_asks_already() -> None:

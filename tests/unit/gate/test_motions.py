@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import pytest
 
+from authguard_r.client.controller import Channel
 from authguard_r.commands import Verb
+from authguard_r.core.identifiers import Digest
 from authguard_r.core.standing import Outcome
 from authguard_r.gate.motions import Motions
 from authguard_r.sim.robot import Faults
-from authguard_r.wire.messages import Act, ClientRole, Ended, Kind, Mode, Order
+from authguard_r.wire.messages import Act, ClientRole, Dispatch, Ended, Kind, Mode, Order
+from fixtures import scenarios
 from unit.gate.demo_site import GO, SCAN, Guest, House, reasons, ticket_of
+from unit.sim.desks import framed
 
 
 def walking(house: House) -> tuple[Guest, int]:
@@ -81,6 +85,33 @@ def test_a_robot_that_does_not_say_that_it_stands_suspends_its_mission() -> None
         token = house.order(Verb.RESOLVE, ticket=release.ticket, outcome=Outcome.ABORTED)
         answer = operator.ask(Kind.ORDER, Order(act=Act.COMMAND, token=token))
         assert answer["standing"].get("open", []) == []
+
+
+def test_a_controller_that_is_busy_after_the_commit_gives_all_back_that_the_release_took() -> None:
+    """The start of its grant and the mission's actions alike: nothing of it was begun."""
+    with House() as house:
+        planner = house.enter(ClientRole.PLANNER)
+        house.activate()
+        before = house.standing
+        assert house.desk is not None
+        other = Dispatch(
+            ticket=Digest("o" * 43),
+            action=scenarios.navigate("dock", "pharmacy"),
+            max_ms=60_000,
+            renew_within_ms=60_000,
+            life=house.desk.life,
+            stops=house.desk.stops,
+        )
+        house.desk.handle(Channel.GATE, framed(Kind.DISPATCH, other), house.clock.ms)
+        (step,) = house.rest(planner, house.begin(planner, GO))["steps"]
+        assert (step["released"], step["execution"]["outcome"]) == (True, "not_started")
+        assert reasons(step) == ["BUSY"]
+        after = house.standing
+        assert (after.actions, after.open) == (0, ())
+        assert (before.actions, before.open) == (0, ())
+        assert after.uses["go-to-pharmacy"].starts == 0
+        assert after.spent == before.spent
+        assert [record.link.decision for record in house.log("outcome")] == ["not_started"]
 
 
 def test_an_outcome_is_told_once_however_often_it_is_said() -> None:

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,6 +22,7 @@ from fixtures.gate_process import until
 from fixtures.restarting_gate import copied
 from fixtures.small_witness import SmallWitness, begin, policy
 from unit.gate.robots import config
+from unit.test_anchor import order
 
 
 class Watched:
@@ -82,6 +84,42 @@ def test_silence_is_an_alert_with_one_record_and_is_over_when_it_ends(
     here.close()
 
 
+def looked(here: Watched, minutes: int) -> None:
+    """Let a gate work, look at its log and make checkpoints for some minutes."""
+    for _ in range(minutes):
+        here.sim.gate.enforcer.stop(by="person", is_planner=False)
+        here.sim.robot.pause(60_000)
+        here.vigil.look()
+
+
+@pytest.mark.parametrize("silence_ms", [90_000, 600_000])
+def test_a_gate_without_witnesses_never_says_that_they_are_silent(
+    tmp_path: Path, silence_ms: int
+) -> None:
+    """A false alert is a fault: nobody was asked, so nobody is silent."""
+    here = Watched(begin(MemoryStore(), policy(silence_ms=silence_ms)), tmp_path / "journal")
+    looked(here, minutes=30)
+    assert (here.alerts(), here.told()) == ([], [])
+    assert "the witnesses are silent" not in here.recorded()
+    here.close()
+
+
+def test_witnesses_that_answer_are_not_silent(witness: SmallWitness, tmp_path: Path) -> None:
+    sim = begin(MemoryStore(), policy(witness, silence_ms=90_000, records=1))
+    here = Watched(sim, tmp_path / "journal")
+
+    def all_of_it() -> bool:
+        here.vigil.look()
+        told: Any = sim.gate.anchor.shown()["witness"]
+        return bool(told["unwitnessed"] == 0)
+
+    for _ in range(5):
+        looked(here, minutes=1)
+        until(all_of_it, "the cosignature")
+    assert (here.alerts(), here.told()) == ([], [])
+    here.close()
+
+
 def test_a_store_that_was_put_back_is_told_of_at_the_start_or_as_soon_as_it_is_known(
     witness: SmallWitness, tmp_path: Path
 ) -> None:
@@ -106,4 +144,22 @@ def test_a_store_that_was_put_back_is_told_of_at_the_start_or_as_soon_as_it_is_k
     for here in (late, early):
         assert here.alerts() == [("the store was put back", False)]
         assert here.told() == here.recorded() == ["the store was put back"]
+        here.vigil.look()
+        assert here.alerts() == [("the store was put back", False)]
+        here.sim.gate.management.accept_store(order(here.sim))
+        here.vigil.look()
+        assert here.alerts() == [("the store was put back", True)]
+        assert here.recorded() == ["the store was put back"]
         here.close()
+
+
+def test_without_witnesses_and_with_a_store_that_fits_nothing_is_told_all_day(
+    tmp_path: Path,
+) -> None:
+    here = Watched(begin(MemoryStore(), policy(silence_ms=90_000)), tmp_path / "journal")
+    for _ in range(10):
+        here.sim.gate.enforcer.stop(by="person", is_planner=False)
+        here.sim.robot.pause(600_000)
+        here.vigil.look()
+    assert (here.alerts(), here.recorded()) == ([], [])
+    here.close()

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from authguard_r.assembly import Simulation
+from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
-from authguard_r.core.errors import RefusedError
+from authguard_r.commands import Command, Verb
+from authguard_r.core.encoding import Tag, b64, digest_of
+from authguard_r.core.errors import ClockError, RefusedError
 from authguard_r.core.reasons import Reason
+from authguard_r.core.token import sign_object
+from authguard_r.ledger import STOP, Act
 from authguard_r.management.configurations import Configuration, Part
 from fixtures import scenarios
 
@@ -55,6 +60,57 @@ def test_what_is_older_than_what_was_in_force_is_refused_and_changes_nothing(
     assert refused.value.where == f"{part}.version"
     held(sim, "a", 5, part)  # what was in force still is
     assert len(changes(sim)) == before
+
+
+def test_a_clock_that_is_behind_lets_nothing_go_back(tmp_path: Path) -> None:
+    sim = scenarios.simulation(store=tmp_path / "robot.db")
+    held(sim, "a", 5)
+    sim.gate.close()
+    late = scenarios.simulation(
+        store=tmp_path / "robot.db", start_ms=scenarios.START_MS - 3_600_000
+    )
+    with pytest.raises(ClockError):
+        late.gate.ledger.now()
+    with pytest.raises(RefusedError, match="SUPERSEDED"):
+        held(late, "b", 4)
+    late.gate.close()
+
+
+def test_what_stood_in_an_older_store_stands_since_its_first_start(sim: Simulation) -> None:
+    """Stops and suspensions had no times: a `resume` from before ends neither."""
+    sim.gate.management.activate(scenarios.token())
+    before_ms = sim.robot.wall_ms()
+    sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
+
+    def age(act: Act) -> None:
+        act.put(*STOP, b"1")
+        act.put("suspended", scenarios.mission().mid, b"")
+
+    sim.gate.ledger.run(age)
+    sim.robot.pause(1_000)
+    held(sim, "a", 1)
+    sim.robot.pause(1_000)
+    for issued_ms, said in ((before_ms + 500, "ORDER_TOO_OLD"), (before_ms + 1_500, "active")):
+        token = resume(issued_ms, sim.robot.wall_ms() + 60_000)
+        try:
+            status = str(sim.gate.management.command(token).status)
+        except RefusedError as refused:
+            status = str(refused.reason)
+        assert status == said
+
+
+def resume(issued_ms: int, expires_ms: int) -> bytes:
+    mission = scenarios.mission()
+    value = Command(
+        verb=Verb.RESUME,
+        mid=mission.mid,
+        version=mission.version,
+        mission=digest_of(Tag.MISSION, mission),
+        nonce=b64(str(issued_ms).encode()),
+        expires_ms=expires_ms,
+        issued_ms=issued_ms,
+    )
+    return sign_object(value, Tag.COMMAND, folder_signer(scenarios.trust_folder(), "operator-1"))
 
 
 def test_each_change_is_recorded_with_what_was_before_and_what_a_replay_needs(

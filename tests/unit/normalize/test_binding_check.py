@@ -11,6 +11,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, ToolBinding, effect_of, require_sound, ways
 from authguard_r.normalize.check import check_binding
+from authguard_r.normalize.expected import TEXT
 from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.model import Parameter, Profile, Robot, Rounding, Site
@@ -335,3 +336,30 @@ def test_a_controller_that_settles_nothing_is_found() -> None:
     (fault,) = report({"go": {**wait(), "controller": "watchdog"}}).faults
     assert fault.where == "tools.go.controller"
     assert "under `fixed`" in fault.message
+
+
+# -- what nobody asks ------------------------------------------------------------------------------
+
+MOVES = {**GO_TO_POSE, "arguments": {"place": mapped("destination")}}
+LOOKS = {"type": "scan_obstacles", "tool": "lidar"}
+
+
+@pytest.mark.parametrize(
+    ("looks_at", "assumed"),
+    [
+        ({}, ("tools.go",)),
+        ({"succeeds": {"status": "arrived"}}, ()),
+        ({"fails": {TEXT: {"contains": "not armed"}}}, ()),
+    ],
+    ids=["neither", "succeeds", "fails"],
+)
+def test_a_tool_that_moves_the_robot_and_whose_answer_nobody_looks_into_is_named(
+    looks_at: Plain, assumed: tuple[str, ...]
+) -> None:
+    """A failure in an answer without an error would count as success (lesson L29)."""
+    found = report({"go": {**MOVES, **looks_at}})
+    assert (found.assumed, faults(found)) == (assumed, [])
+
+
+def test_a_tool_that_moves_nothing_needs_no_look_into_its_answer() -> None:
+    assert report({"look": LOOKS}).assumed == ()

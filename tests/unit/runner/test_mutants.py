@@ -24,6 +24,8 @@ def test_half_the_bound_is_allowed():
     assert allowed(2)
 """
 PLACE = "src/limits.py"
+#: As in our own pyproject.toml: these two plugins take two seconds to load.
+PYTEST = "[pytest]\naddopts = -p no:schemathesis -p no:langsmith_plugin\n"
 ENTRY = """
 [{name}]
 file = "{file}"
@@ -38,7 +40,8 @@ group = "core"
 def project(tmp_path: Path) -> Path:
     """A project of one module and its tests."""
     folder = tmp_path / "project"
-    for place, text in ((PLACE, SOURCE), ("tests/test_limits.py", TESTS), ("pytest.ini", "")):
+    files = {PLACE: SOURCE, "tests/test_limits.py": TESTS, "pytest.ini": PYTEST}
+    for place, text in files.items():
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         (folder / place).write_text(text)
     return folder
@@ -62,11 +65,13 @@ def test_a_fault_that_its_test_does_not_find_survives_and_fails_the_run(project:
     assert found.startswith("failed: 0 of 1 mutants killed; not killed: bound (survived: ")
 
 
+@pytest.mark.complete
 def test_each_named_test_alone_has_to_find_the_fault(project: Path) -> None:
     tests = ("test_one_above_the_bound_is_refused", "test_half_the_bound_is_allowed")
     assert judge([mutant("speed <= 6", *tests)], root=project).startswith("failed: 0 of 1")
 
 
+@pytest.mark.complete
 def test_a_fault_that_nothing_can_import_is_no_kill(project: Path) -> None:
     found = judge([mutant("speed <=", "test_half_the_bound_is_allowed")], root=project)
     assert found.startswith("failed: 0 of 1")
@@ -77,6 +82,7 @@ def test_a_test_that_does_not_end_in_time_is_no_kill(project: Path) -> None:
     assert "bound (no end: " in judge([broken], root=project, limit_s=3.0)
 
 
+@pytest.mark.complete
 def test_tests_that_fail_without_any_mutant_fail_the_run(project: Path) -> None:
     (project / "tests" / "test_limits.py").write_text(TESTS.replace("allowed(2)", "allowed(7)"))
     found = judge([mutant("speed < 5", "test_half_the_bound_is_allowed")], root=project)

@@ -29,7 +29,6 @@ from authguard_r.site.model import PersonRole as Role
 from authguard_r.site.names import MOST_CHARACTERS, MOST_NAMES
 from authguard_r.site.places import MOST_DEPTH, MOST_DOORS, MOST_OVERLAPS, MOST_PAIRS, MOST_REGIONS
 from fixtures import scenarios
-from fixtures.amount import amount
 from fixtures.cases import case
 from fixtures.time_bounds import at_most
 
@@ -648,8 +647,6 @@ def test_intricate_regions_close_together_are_refused_before_they_cost_minutes(
     """The attack: a megabyte of outlines that run beside each other, or inside one."""
     bands = {lettered(n): zigzag(n * 10, n * 10 + 5, within) for n in range(1, 125)}
     around = {"bbbb": zigzag(0, 10_000_000)} if within else {}
-    # all of the effort is seconds of comparing; by default a tenth of it
-    monkeypatch.setattr(places, "MOST_EFFORT", places.MOST_EFFORT // amount(10, 1))
     found = timed(only({**around, **bands}))
     few = only({**around, **dict(list(bands.items())[:3])})
     assert faults(few) == ()
