@@ -135,6 +135,7 @@ class Story:
             self._use(grant, successes=1, last_success=self.order)
         elif outcome == Outcome.NOT_STARTED:
             self._use(grant, starts=-1)
+            self.actions -= 1
 
     def _use(
         self, grant: str, *, starts: int = 0, successes: int = 0, last_success: int = 0

@@ -364,6 +364,7 @@ def require_one_story(rows: tuple[Row, ...], held: dict[tuple[str, str], bytes])
         if record["kind"] == "outcome":
             tickets.remove(opened["ticket"])
             starts -= opened["outcome"] == Outcome.NOT_STARTED
+            actions -= opened["outcome"] == Outcome.NOT_STARTED
             if opened["outcome"] == Outcome.SUCCEEDED:
                 successes, last_success = successes + 1, successes + 1
         if "key" in opened:

@@ -101,13 +101,16 @@ def _require_schema(connection: apsw.Connection, path: Path) -> None:
     """Require our two tables to the letter, and beside them nothing but triggers of ours."""
     query = "SELECT type, name, tbl_name, sql FROM sqlite_schema LIMIT 17"
     tables, others = set(), []
-    for number, (kind, name, of, sql) in enumerate(connection.execute(query)):
-        text = " ".join(str(sql).split())
-        ours = name in _TRIGGERS and of == "audit" and text.startswith("CREATE TRIGGER ")
-        if kind == "table" and number < _MOST_OBJECTS:
-            tables.add(text)
-        elif number >= _MOST_OBJECTS or kind != "trigger" or not ours:
-            others.append(f"{kind} `{name}`")
+    try:
+        for number, (kind, name, of, sql) in enumerate(connection.execute(query)):
+            text = " ".join(str(sql).split())
+            ours = name in _TRIGGERS and of == "audit" and text.startswith("CREATE TRIGGER ")
+            if kind == "table" and number < _MOST_OBJECTS:
+                tables.add(text)
+            elif number >= _MOST_OBJECTS or kind != "trigger" or not ours:
+                others.append(f"{kind} `{name}`")
+    except UnicodeDecodeError as error:
+        raise apsw.CorruptError("expected a schema, got broken text") from error
     if tables != _OURS or others:
         told = ", ".join(others) or "other tables than `held` and `audit`"
         raise StoreError(
