@@ -33,7 +33,8 @@ from test_msgs.action import Fibonacci  # noqa: E402
 
 import machine  # noqa: E402
 from fixtures.gate_process import until  # noqa: E402
-from ros.deployed import FAULTS, TRANSPORT, guarded  # noqa: E402
+from fixtures.ros_processes import TRANSPORT  # noqa: E402
+from ros.deployed import FAULTS, guarded  # noqa: E402
 from ros.graph import Goal, Stick  # noqa: E402
 from ros.hospital import hospital  # noqa: E402
 from ros_faults import in_turns, show  # noqa: E402

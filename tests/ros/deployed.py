@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A guarded robot as it is deployed: the gate's node, its dead-man, its relay, a robot, a planner.
 
-`FASTDDS_BUILTIN_TRANSPORTS=UDPv4`, as deploy/ros/ros.env says, is the caller's: who writes to a
-process that was stopped would wait for it in shared memory.
+`TRANSPORT` is the caller's: who writes to a process that was stopped would wait for it in shared
+memory.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ FAULTS = {
     "a dead-locked executor of the robot's side": ROBOTS,
     "a stuck loop of asyncio": LOOP,
 }
-TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 ARMED, FOUND, CANCELED = (f'"event": "{name}"' for name in ("armed", "found", "canceled"))
 
 

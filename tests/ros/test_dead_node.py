@@ -21,7 +21,7 @@ from geometry_msgs.msg import Twist
 from test_msgs.action import Fibonacci
 
 from fixtures.gate_process import RunningGate, until
-from ros.deployed import FAULTS, TRANSPORT, Guarded
+from ros.deployed import FAULTS, Guarded
 from ros.graph import Goal, Stick, graph_of
 from ros.shared_graph import SharedGate
 from ros.test_mediation import twist
@@ -33,9 +33,7 @@ SOON_S = 1.0
 @pytest.fixture(scope="module")
 def deployed(gate: RunningGate, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
     """A robot with its relay, which outlives each test's node."""
-    with pytest.MonkeyPatch.context() as variables, ExitStack() as ending:
-        for name, value in TRANSPORT.items():
-            variables.setenv(name, value)
+    with ExitStack() as ending:
         graph = ending.enter_context(graph_of(tmp_path_factory.mktemp("graph"), gate))
         yield Guarded(graph, ending)
 

@@ -41,7 +41,7 @@ from authguard_r.ros.nodes.heartbeat import (
     gate_heartbeat,
     listen,
 )
-from fixtures.ros_processes import PATIENCE_S, clean_shared, map_of
+from fixtures.ros_processes import PATIENCE_S, map_of
 
 # what rclpy imports to read its types imports a module that Python has renamed
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
@@ -57,7 +57,6 @@ def context() -> Iterator[Context]:
     rclpy.init(context=made, domain_id=next(_DOMAINS) % 100 + 1)
     yield made
     made.try_shutdown()
-    clean_shared()
 
 
 @pytest.fixture
