@@ -86,7 +86,7 @@ class Enforcer:
         self._facts = facts
         self._safety = safety
         self._watch = watch
-        self._stopping = Stopping(ledger, intake)
+        self.stopping = Stopping(ledger, intake)
         self._clock = clock
         self._first: Callable[[], object] = lambda: None
 
@@ -148,6 +148,7 @@ class Enforcer:
 
         try:
             self._require_suspended()
+            self._watch.settle_owed()
             self._first()
             self._first = lambda: None
             self.intake.refresh()
@@ -161,8 +162,8 @@ class Enforcer:
 
     def settle_stops(self) -> bool:
         """Write what an operator's stop has to change, if it is not on disk; True once it is."""
-        self._stopping.settle()
-        return not self._stopping.owes
+        self.stopping.settle()
+        return not self.stopping.owes
 
     def _require_suspended(self) -> None:
         """Refuse everything while an operator's stop has not taken its effect on disk.
@@ -203,7 +204,7 @@ class Enforcer:
             details: what else lies open in the record.
             why: the words of whoever stopped; sealed.
         """
-        return self._stopping.record(
+        return self.stopping.record(
             by=by, is_planner=is_planner, suspends=suspends, details=details or {}, why=why
         )
 

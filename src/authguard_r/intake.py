@@ -309,20 +309,22 @@ class Intake:
         """Drop every kept mission: after a revocation the next action verifies anew."""
         self._verified.clear()
 
-    def take_approval(self, act: Act, token: bytes) -> VerifiedApproval:
-        """Keep an authentic answer to an open request until that is used or dies.
-
-        Who answers before anybody asked, or after, fills no store and consents to nothing.
+    def verify_answer(self, act: Act, token: bytes) -> VerifiedApproval:
+        """Return the answer in a token, at the act's time.
 
         Raises:
             MalformedError: not an approval token.
             AuthenticityError: certificate or signature does not hold.
+        """
+        return open_approval(token, verifier=self._verifier, now=act.now)
+
+    def keep_answer(self, act: Act, verified: VerifiedApproval, token: bytes) -> bool:
+        """Keep an answer to an open request until that is used or dies; False: it was kept before.
+
+        Raises:
             RefusedError: its signer has given this answer so often already (`BUSY`), or has signed
                 under another name (`ISSUER_MISMATCH`).
         """
-        verified = open_approval(token, verifier=self._verifier, now=act.now)
-        if not is_asked(act, verified.approval):
-            return verified
         key = f"{verified.approval.mid}:{verified.approval.counter}"
         held = act.get("approvals", key)
         tokens = read_held(held, tuple[str, ...], "approvals") if held else ()
@@ -335,7 +337,7 @@ class Intake:
             == (verified.approver.id, verified.approval.verdict)
         ]
         if verified.approval in same:  # one answer has many signatures, and counts once
-            return verified
+            return False
         if len(same) >= _MOST_ANSWERS:
             raise RefusedError(
                 f"`{verified.approver.id}` has said this often enough",
@@ -344,7 +346,7 @@ class Intake:
             )
         text = token.decode("ascii").strip()
         act.put("approvals", key, encode_fast((*tokens, text)))
-        return verified
+        return True
 
     def _require_one_name(self, token: bytes, others: tuple[str, ...]) -> None:
         """Require that whoever approves has signed none of the others under another name.

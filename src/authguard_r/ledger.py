@@ -31,7 +31,7 @@ from authguard_r.refusals import Fold, LogSealer, Page, RefusalPolicy, Refusals
 T = TypeVar("T")
 #: Kind, key and value of something that the store holds.
 Held = tuple[str, str, bytes]
-#: An operator's stop that stands, until a signed order makes a mission active.
+#: An operator's stop that stands, until a `resume` that was signed after it.
 STOP = ("stop", "operator")
 #: How far the wall clock may be behind the last committed time, in milliseconds.
 SKEW_MS = 2_000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open approval requests: whose answers count and why not, and where the log has what was asked.
+"""Approval requests: whose answers count and why not, and where the log has what was asked.
 
 Whether an answer counts, the core says (`core.checks.approval`), asked here with that answer alone:
 nothing is decided twice. What was asked is in the decision's record, so only its number is held.
@@ -8,18 +8,22 @@ Spec page: docs/spec/approval.md#answers
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-from msgspec import Struct, structs
+from msgspec import Struct, convert, structs
 
 from authguard_r.approvals import approver_json
-from authguard_r.audit.record import Entry
+from authguard_r.audit.record import Entry, Record, Sealed, read_record, read_sealed
+from authguard_r.audit.verify import Row
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Verdict, VerifiedApproval
+from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
 from authguard_r.core.checks.approval import Need, check_approval
 from authguard_r.core.checks.case import Case
+from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import MissionId
+from authguard_r.core.identifiers import ActionType, Digest, MissionId, ToolId
 from authguard_r.core.mission import Grant, RiskPolicy
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -29,6 +33,22 @@ from authguard_r.ledger import Act
 from authguard_r.report import Judged
 
 _HELD = "question"
+#: Stands for what was asked and cannot be told any more: it names no place.
+UNTOLD = Action(type=ActionType("untold"), tool=ToolId("untold"))
+#: Opens a row of the log (`Ledger.opened`).
+Opened = Callable[[tuple[int, bytes, bytes, bytes]], Row]
+
+
+class Told(Struct, frozen=True):
+    """What a decision's record says of a request: its link and open part, and its values."""
+
+    record: Record
+    sealed: dict[str, Sealed]
+
+    def value(self, name: str, kind: Any) -> Any:
+        """Return a sealed value, None when it was destroyed."""
+        item = self.sealed.get(name)
+        return None if item is None else convert(item.value, kind)
 
 
 class Asked(Struct, frozen=True, kw_only=True):
@@ -38,7 +58,7 @@ class Asked(Struct, frozen=True, kw_only=True):
         verified: the mission.
         grant: the grant that asked.
         request: the request.
-        action: what was proposed, from the log.
+        action: what was proposed, from the log; `UNTOLD` when that is gone.
         standing: the registry's entry, with the request in it.
         facts: the signed site, the gate's identity, the organization's policies.
     """
@@ -62,9 +82,68 @@ class Asked(Struct, frozen=True, kw_only=True):
         return tuple(sorted(set.intersection(*named)))
 
 
-def counts(asked: Asked, item: VerifiedApproval, now: Now) -> bool:
+def find_asked(
+    act: Act,
+    said: Approval,
+    *,
+    mission: Callable[[Act, Digest], VerifiedMission],
+    facts: SiteFacts,
+    opened: Opened,
+) -> Asked | None:
+    """Return the open request of the active mission that an answer names; None: there is none.
+
+    Args:
+        act: the act.
+        said: the answer.
+        mission: returns a mission version by its digest (`Intake.mission`).
+        facts: the signed site and the gate's identity.
+        opened: opens a row of the log.
+
+    Raises:
+        AuthGuardError: nobody's signature stands behind the mission now.
+    """
+    standing = act.standing(said.mid)
+    if standing is None or act.active() != said.mid:
+        return None
+    named = {r.counter: grant for grant, r in standing.requests.items()}.get(said.counter)
+    if named is None:
+        return None
+    verified = mission(act, standing.digest)
+    action = None
+    with suppress(StoreError):
+        action = read_told(act, said.mid, said.counter, opened).value("action", Action)
+    return Asked(
+        verified=verified,
+        grant=next(grant for grant in verified.mission.actions if grant.id == named),
+        request=standing.requests[named],
+        action=action or UNTOLD,
+        standing=standing,
+        facts=facts,
+    )
+
+
+def read_told(act: Act, mid: MissionId, counter: int, opened: Opened) -> Told:
+    """Return the record of the decision that opened a request.
+
+    Raises:
+        StoreError: there is none, or it does not hold what such a record holds.
+    """
+    number = record_of(act, mid, counter)
+    rows = () if number is None else act.rows(number, 1)
+    where = f"request {counter}"
+    if not rows:
+        raise StoreError("its record is gone", where=where, reason=Reason.STORE_CORRUPT)
+    row = opened(rows[0])
+    try:
+        return Told(read_record(row.record, where=where), read_sealed(row.sealed, where=where))
+    except MalformedError as error:
+        raise StoreError(error.message, where=where, reason=Reason.STORE_CORRUPT) from error
+
+
+def fits(asked: Asked, item: VerifiedApproval, now: Now) -> bool:
     """True when the check, with this answer alone, says another thing than with none."""
-    return bool(_checked(asked, (item,), now) != _checked(asked, (), now))
+    in_time = now.utc_ms <= asked.request.expires_ms
+    return in_time and bool(_checked(asked, (item,), now) != _checked(asked, (), now))
 
 
 def behind(asked: Asked, items: tuple[VerifiedApproval, ...], now: Now) -> int:
@@ -83,10 +162,11 @@ def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
         item: the answer.
         now: the instant to ask about.
     """
-    if asked is None:
+    if asked is None or (asked.action is UNTOLD and item.approval.verdict is Verdict.APPROVE):
         return str(Reason.APPROVAL_TIMEOUT)
-    if now.utc_ms <= asked.request.expires_ms and counts(asked, item, now):
-        return ""
+    if fits(asked, item, now):
+        too_late = asked.request.denied and item.approval.verdict is Verdict.APPROVE
+        return str(Reason.APPROVAL_DENIED) if too_late else ""
     said, signer, verified = item.approval, item.approver, asked.verified
     wrong = (
         (said.rid != asked.facts.robot.rid, Reason.ROBOT_MISMATCH),
@@ -103,7 +183,7 @@ def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
         (not signer.scope.covers(said.rid, asked.action.places), Reason.SIGNER_OUT_OF_SCOPE),
     )
     found = [reason for is_wrong, reason in wrong if is_wrong]
-    # a group in which only the issuer is left stands for nobody else
+    # somebody who may be behind the mission's signature already, or a group of such people
     return str(found[0] if found else Reason.ISSUER_MISMATCH)
 
 
@@ -127,7 +207,7 @@ def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
     return [
         {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
         for item in judged.answers
-        if why_not(asked, item, judged.now) == ""
+        if fits(asked, item, judged.now)
     ]
 
 
@@ -170,9 +250,10 @@ def _checked(
 ) -> Any:
     """Return what step 7 says of the request with these answers and no others.
 
-    The request may be over by now; whether an answer to it fits is asked apart from that, and with
-    a number of people that no answers reach, so that each that fits is seen.
+    The request may be over or denied by now; whether an answer to it fits is asked apart from that,
+    and with a number of people that no answers reach, so that each that fits is seen.
     """
+    undenied = structs.replace(asked.request, denied=False)
     at = structs.replace(now, utc_ms=min(now.utc_ms, asked.request.expires_ms))
     case = Case(
         verified=asked.verified,
@@ -181,7 +262,7 @@ def _checked(
         state=None,
         facts=asked.facts,
         now=at,
-        standing=asked.standing,
+        standing=structs.replace(asked.standing, requests={asked.grant.id: undenied}),
         approvals=tuple(i for i in items if required is None or i.approval.verdict != "deny"),
     )
     need = Need(

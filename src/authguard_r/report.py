@@ -25,7 +25,7 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.safety import SafetyDecision
+from authguard_r.core.safety import Hazard, SafetyDecision
 from authguard_r.core.standing import ApprovalRequest, Outcome, Spend, Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
@@ -35,6 +35,8 @@ from authguard_r.normalize.context import Influence
 NOT_EVALUATED = "not evaluated"
 #: What the log calls a plan or a step that was refused before a decision.
 PROPOSAL = "proposal"
+#: What the second gate says for want of newer state.
+_UNKNOWN = frozenset({Hazard.STATE_UNKNOWN, Hazard.NOT_EXECUTABLE})
 
 
 class Judged(Struct, frozen=True, kw_only=True):
@@ -205,6 +207,12 @@ def behind_of(state: AttestedState | None) -> set[str]:
     pose, readings = state.snapshot.pose, state.snapshot.readings
     behind = {str(name) for name, value in readings.items() if value.fence < state.fence}
     return behind | ({"pose"} if pose is not None and pose.fence < state.fence else set())
+
+
+def lacks_state(safety: SafetyDecision | None) -> bool:
+    """True when the second gate refused for want of state alone, so that newer state may help."""
+    unsafe = () if safety is None or safety.safe else safety.findings
+    return bool(unsafe) and {finding.hazard for finding in unsafe} <= _UNKNOWN
 
 
 def outcome_entry(

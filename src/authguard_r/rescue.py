@@ -37,7 +37,7 @@ from authguard_r.emergency.opened import OpenedPolicy, require_signer
 from authguard_r.emergency.policy import Caller, Capability, Missing
 from authguard_r.intake import Intake
 from authguard_r.ledger import Ledger
-from authguard_r.report import fault_finding
+from authguard_r.report import behind_of, fault_finding, lacks_state
 from authguard_r.rescue_log import ACCEPT, RescueLog, Step, refused_call
 from authguard_r.running import Course, Watch, quietly
 
@@ -70,6 +70,14 @@ class Call(Struct, frozen=True, kw_only=True):
         if not self.decision.accepted or capability is None or safety is None:
             return False
         return safety.safe or capability.past_safety
+
+    @property
+    def is_early(self) -> bool:
+        """True when the answer rests on state from before the last motion: newer may change it."""
+        reasons = {finding.reason for finding in self.decision.findings}
+        if reasons:
+            return Reason.STATE_BEFORE_MOTION in reasons
+        return lacks_state(self.safety) and bool(behind_of(self.scene.state))
 
 
 class Rescued(Struct, frozen=True, kw_only=True):
@@ -132,22 +140,28 @@ class Rescue:
         """Return what the gate itself calls as soon as its guards hold."""
         return tuple(c.id for c in self.opened.policy.capabilities if Caller.GATE in c.callers)
 
-    def judge(self, name: str, caller: Caller, by: Identifier) -> Call:
+    def judge(self, name: str, caller: Caller, by: Identifier, *, stands: bool = False) -> Call:
         """Ask both gates about a call; nothing is used, recorded or released.
 
         Args:
             name: the capability, from anyone.
             caller: what called.
             by: who, named by the channel.
+            stands: the robot stands, and this answer lets it begin: only state from after its last
+                motion counts, and monitored values do. Else the newest counts, for a call that
+                comes right after a motion is no false one.
         """
         capability = named(self.opened, name)
+        now, stopped = self._ledger.latest(), self.log.stopped  # either may raise the fence
         scene = Scene(
-            state=self._state(),
+            state=self._state(stands=stands),
             facts=self._facts,
-            now=self._ledger.latest(),
-            uses=self.log.uses(name),
+            now=now,
+            uses=self.log.uses(caller, name),
+            tries=self.log.tries(caller, name),
             lacks=self._lacks(frozenset(Missing)),
-            stopped=self.log.stopped,
+            stopped=stopped,
+            stands=stands,
         )
         decided = decide_emergency(self.opened, name, caller, scene)
         found = in_paper_order((*decided.findings, *self._revoked()))
@@ -186,7 +200,7 @@ class Rescue:
     def _dispatch(
         self, call: Call, capability: Capability, action: Action, lease: Lease
     ) -> Rescued | Relief:
-        findings = self.look(capability, lease)
+        findings = self.look(capability, lease, stands=True)
         if not findings:
             try:
                 flight = self.watch.controller.dispatch(action, lease)
@@ -195,12 +209,12 @@ class Rescue:
                 findings = (fault_finding(error),)
         return self.ended(call, lease.ticket, Outcome.NOT_STARTED, findings)
 
-    def look(self, capability: Capability, lease: Lease) -> Findings:
-        """Ask a lease's conditions on new state."""
+    def look(self, capability: Capability, lease: Lease, *, stands: bool = False) -> Findings:
+        """Ask a lease's conditions on new state; while the robot stands, as `judge` does."""
         found = still_emergency(
             capability,
             lease,
-            self._state(),
+            self._state(stands=stands),
             facts=self._facts,
             now=self._ledger.latest(),
             lacks=self._lacks(frozenset(Missing).difference(capability.without)),
@@ -257,10 +271,10 @@ class Rescue:
             return (fault_finding(error),)
         return ()
 
-    def _state(self) -> AttestedState | None:
+    def _state(self, *, stands: bool) -> AttestedState | None:
         """Return the newest attested state; what cannot be taken in now leaves the last."""
         quietly(self._intake.refresh)
-        return self._intake.newest
+        return self._intake.state if stands else self._intake.newest
 
     def _lacks(self, asked: frozenset[Missing]) -> frozenset[Missing]:
         """Return what is missing; that the store is, shows when it is written to."""

@@ -47,7 +47,9 @@ class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         policy: digest of the policy that the log has.
-        uses: by capability, when it was used within the last hour, on the monotonic clock.
+        uses: when a capability was used within the last hour, on the monotonic clock: by caller
+            and capability; with `not_started` behind it, uses that were given back; under the
+            capability alone, an older gate's, which count for every caller.
         open: releases whose end is not recorded.
         heard: the last record of the journal that the log has.
         lost: how many that did not fit the log has counted.
@@ -99,14 +101,16 @@ class RescueLog:
         self._before = frozenset(self._kept.open)  # of a gate that ended before they did
         #: What ended unknown since this gate started, or was left open by the one before.
         self.unknown: deque[str] = deque(maxlen=_SHOWN)
+        #: What lies in the journal's file that this gate did not write there; empty: nothing.
+        self.strange: dict[str, int] = {}
         if journal is not None:
-            journal.after(self._kept.heard)
+            journal.after(self._kept.heard, self._kept.lost)
+            self.strange = _strange(journal, self._kept.heard)
             left = journal.pending(self._kept.heard)
             for record in left:
                 self._kept = _after(self._kept, record)
                 self._before |= {record.ticket}
             self.unknown += [r.capability for r in left if r.decision == Outcome.UNKNOWN]
-            self._kept = replace(self._kept, lost=min(self._kept.lost, journal.lost))
         # a power cut may set the clock of uses back: what seems still to come was just now
         now_ms = ledger.mono_ms()
         past = {c: tuple(min(at, now_ms) for at in used) for c, used in self._kept.uses.items()}
@@ -121,9 +125,14 @@ class RescueLog:
             self._stopped = held
         return self._stopped or not settled
 
-    def uses(self, capability: str) -> tuple[int, ...]:
-        """Return when a capability was used."""
-        return self._kept.uses.get(capability, ())
+    def uses(self, caller: Caller, capability: str) -> tuple[int, ...]:
+        """Return when a caller used a capability."""
+        used = self._kept.uses
+        return (*used.get(capability, ()), *used.get(f"{caller} {capability}", ()))
+
+    def tries(self, caller: Caller, capability: str) -> tuple[int, ...]:
+        """Return when a caller's use was not started, and so was given back."""
+        return self._kept.uses.get(f"{caller} {capability} {Outcome.NOT_STARTED}", ())
 
     def adopt(self, opened: OpenedPolicy) -> None:
         """Record which policy counts from now on, when it is another one.
@@ -226,18 +235,27 @@ class RescueLog:
         )
 
 
+def _strange(journal: EmergencyJournal, heard: int) -> dict[str, int]:
+    entries, size = journal.strange(heard), journal.odd_size
+    if size is not None:
+        return {"entries": entries, "size": size}
+    return {"entries": entries} if entries else {}
+
+
 def _after(kept: Kept, step: Journaled) -> Kept:
     """Return what is held after a step; uses older than an hour are forgotten."""
-    if step.decision != ACCEPT:
-        return replace(kept, open={t: c for t, c in kept.open.items() if t != step.ticket})
-    known = kept.uses.get(step.capability, ())
-    recent = [at for at in known if at > step.mono_ms - HOUR_MS]
-    uses = (*recent, step.mono_ms)[-MOST_PER_HOUR:]
-    return replace(
-        kept,
-        uses={**kept.uses, step.capability: uses},
-        open={**kept.open, step.ticket: step.capability},
-    )
+    since_ms, mine = step.mono_ms - HOUR_MS, f"{step.caller} {step.capability}"
+    uses = {key: tuple([at for at in used if at > since_ms]) for key, used in kept.uses.items()}
+    left = {t: c for t, c in kept.open.items() if t != step.ticket}
+    if step.decision == ACCEPT:
+        uses[mine] = (*uses.get(mine, ()), step.mono_ms)
+        left[step.ticket] = step.capability
+    elif step.decision == Outcome.NOT_STARTED and step.ticket in kept.open and uses.get(mine):
+        *uses_left, given = uses[mine]  # one at a time: the newest use is this one
+        tried = f"{mine} {Outcome.NOT_STARTED}"
+        uses |= {mine: tuple(uses_left), tried: (*uses.get(tried, ()), given)}
+    recent = {key: used[-MOST_PER_HOUR:] for key, used in uses.items() if used}
+    return replace(kept, uses=recent, open=left)
 
 
 def _entry(step: Step, at: int) -> Entry:

@@ -9,6 +9,7 @@ Source: section "Stateful Action Verification". Spec page: docs/spec/lease.md#wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol, TypeVar, runtime_checkable
 
 import msgspec
@@ -51,6 +52,19 @@ class Explained(Protocol):
         ...
 
 
+@runtime_checkable
+class Guarded(Protocol):
+    """A controller that begins nothing while nobody could stop it."""
+
+    def require_stop(self) -> None:
+        """Require that a stop would be carried out.
+
+        Raises:
+            EnvironmentFault: nobody would.
+        """
+        ...
+
+
 class Watch:
     """What looks at leases and writes down how they ended.
 
@@ -76,17 +90,20 @@ class Watch:
         self._facts = facts
         self.controller = controller
         self.stand_within_ms = stand_within_ms
+        self._owed: list[Callable[[Act], int]] = []
 
     def mono_ms(self) -> int:
         """Return the monotonic clock that leases are measured on."""
         return self._ledger.mono_ms()
 
     def ready(self, *, irreversible: bool) -> bool:
-        """Return True once what cannot be undone could be counted outside; nothing else waits.
+        """Return True once a stop would be heard, and what cannot be undone could be counted.
 
         Raises:
-            EnvironmentFault: it could not, and nothing was consumed.
+            EnvironmentFault: it would not or could not, and nothing was consumed.
         """
+        if isinstance(self.controller, Guarded):
+            self.controller.require_stop()
         self._intake.anchor.ready(irreversible=irreversible)
         return True
 
@@ -143,7 +160,23 @@ class Watch:
         recorded = quietly(lambda: self._ledger.run(job, essential=True)) is not None
         if not recorded:
             self._ledger.raise_fence()  # it ended all the same
+
+            def later(act: Act) -> int:
+                standing = act.standing(mission.mid)
+                known = () if standing is None else standing.open  # a person may have said it
+                is_open = any(release.ticket == judged.ticket for release in known)
+                return job(act) if is_open else -1
+
+            self._owed.append(later)
         return msgspec.structs.replace(ended, outcome_recorded=recorded)
+
+    def settle_owed(self) -> bool:
+        """Write outcomes that could not be written when they were known; True when one was."""
+        owed, self._owed = self._owed, []
+        for job in owed:
+            if quietly(partial(self._ledger.run, job, essential=True)) is None:
+                self._owed.append(job)
+        return len(self._owed) < len(owed)
 
     def _current(self, act: Act, standing: Standing, judged: Judged) -> Mission | None:
         """Return what says whether all is done: the version in force, not the one released under.

@@ -86,6 +86,11 @@ class Stopping:
         self.settle()
         return counted is _Count.ALERT
 
+    def hold(self) -> None:
+        """Let an operator's stop take its effect now; what is said of it is recorded later."""
+        self._owed = True
+        self.settle()
+
     @property
     def owes(self) -> bool:
         """True while a suspension could not be written: nothing may be released meanwhile."""

@@ -2,9 +2,10 @@
 """The reference oracle: a literal transcription of the paper and docs/spec, standard library only.
 
 `alg:authguard` and `eq:auth-predicate` in `policy`, `grants`, `place` and `standing`;
-`eq:threshold` in `risk` and `approval`; `eq:trace-auth` in `lease`; `eq:trace-safe` in `safety`;
-`eq:action-deviation` and `eq:plan-deviation` in `deviation`; `eq:scmh`, `eq:uasr`, `eq:scmhr` and
-`eq:su` in `metrics`; `eq:log` in `chain`. It imports nothing of the gate it is compared with.
+`eq:threshold` in `risk`, `approval` and `people`; `eq:trace-auth` in `lease`; `eq:trace-safe` in
+`safety`; `eq:action-deviation` and `eq:plan-deviation` in `deviation`; `eq:scmh`, `eq:uasr`,
+`eq:scmhr` and `eq:su` in `metrics`; `eq:log` in `chain`. It imports nothing of the gate it is
+compared with.
 """
 
 from authguard_reference.chain import canonical, digest, link

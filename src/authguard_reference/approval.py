@@ -4,6 +4,7 @@
 from typing import Any
 
 from authguard_reference.chain import canonical, digest
+from authguard_reference.people import people_behind
 from authguard_reference.place import guard_finding
 from authguard_reference.risk import required_of, rho, tier_of
 
@@ -94,30 +95,6 @@ def policies_of(mission: Json, facts: Json) -> list[Json]:
     return [mission["risk_policy"], *facts.get("risk", [])]
 
 
-def people_behind(fitting: list[Json], issuer: str) -> int:
-    """Count the people other than the issuer who stand behind the fitting approvals.
-
-    Args:
-        fitting: The answers that fit.
-        issuer: The mission's issuer.
-
-    Returns:
-        The number of single signers, or what one group counts, whichever is more.
-    """
-    most = 0
-    single = set()
-    for answer in fitting:
-        approver = answer["approver"]
-        members = approver.get("members", [])
-        if members == []:
-            single.add(approver["id"])
-        elif issuer in members:
-            most = max(most, approver.get("threshold", 1) - 1)
-        else:
-            most = max(most, approver.get("threshold", 1))
-    return max(most, len(single))
-
-
 def fits(
     answer: Json,
     expected: Json,
@@ -157,6 +134,7 @@ def approval_finding(
     *,
     required: int,
     mission: Json,
+    issuer: Json,
     policies: list[Json],
     action: Json,
     approvals: list[Json],
@@ -170,6 +148,7 @@ def approval_finding(
         request: The grant's open request, or None.
         required: Req(a, s).
         mission: The mission.
+        issuer: Its issuer, with the members and the threshold of a group.
         policies: The policies that each have to be satisfied.
         action: The normalized action.
         approvals: The authentic answers.
@@ -189,13 +168,15 @@ def approval_finding(
         exhausted = prompts >= mission["budgets"].get("prompts", 0)
         return "BUDGET_EXCEEDED" if exhausted else "APPROVAL_REQUIRED"
     expected = {**expected, "counter": request.get("counter", 0)}
+    if request.get("denied", False):  # when it came in; nothing undoes it
+        return "APPROVAL_DENIED"
     if now["utc_ms"] > request["expires_ms"]:
         return "APPROVAL_TIMEOUT"
     seen: Json = {"policies": policies, "action": action, "now": now}
     fitting = [answer for answer in approvals if fits(answer, expected, mission, **seen)]
     if any(answer["approval"]["verdict"] == "deny" for answer in fitting):
         return "APPROVAL_DENIED"
-    if people_behind(fitting, mission["issuer"]) >= required - 1:
+    if people_behind([answer["approver"] for answer in fitting], issuer) >= required:
         return ""
     return "APPROVAL_REQUIRED"
 
@@ -234,6 +215,7 @@ def step_7(
     now: Json,
     standing: Json | None,
     approvals: list[Json],
+    issuer: Json | None = None,
 ) -> tuple[list[str], int, int]:
     """Carry out step 7, approval, for the matched grant.
 
@@ -247,6 +229,7 @@ def step_7(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
+        issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
         At most one violation, Req(a, s) and rho(a, s).
@@ -267,6 +250,7 @@ def step_7(
         request,
         required=required,
         mission=mission,
+        issuer=issuer or {"id": mission["issuer"]},
         policies=policies,
         action=action,
         approvals=approvals,

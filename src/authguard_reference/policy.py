@@ -201,6 +201,7 @@ def decide(
     now: Json,
     standing: Json | None,
     approvals: list[Json],
+    issuer: Json | None = None,
 ) -> Json:
     """Decide on one action: `alg:authguard`.
 
@@ -214,6 +215,7 @@ def decide(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
+        issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
         Verdict, reasons in ORDER, grant id, row index, required approvals and risk.
@@ -227,7 +229,7 @@ def decide(
     seen: Json = {"action": action, "state": state, "facts": facts, "now": now}
     grant, row, of_match = match(mission, standing=standing, **seen)  # step 6, of each grant
     of_approval, required, risk = step_7(
-        mission, digest, grant, standing=standing, approvals=approvals, **seen
+        mission, digest, grant, standing=standing, approvals=approvals, issuer=issuer, **seen
     )
     return result(found + of_match + of_approval, grant["id"], row, required, risk)  # step 9
 

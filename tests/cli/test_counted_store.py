@@ -12,6 +12,7 @@ import pytest
 from authguard_r.anchoring.outside import BY_COUNTER, BY_STORE, SAID, Why
 from authguard_r.audit.record import read_record
 from authguard_r.cli.attend import status_lines
+from authguard_r.client import stopping
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import Kind
 from cli.test_gate_commands import (
@@ -228,20 +229,22 @@ def test_learning_asks_the_gate_that_holds_the_store(shell: Shell, token: str) -
     assert "shadow" in message
 
 
-# --- stopping where there is no lane
+# --- stopping where nobody serves
 
 
-def test_where_a_gate_has_no_stop_lane_nobody_is_told_to_start_one(shell: Shell) -> None:
+def test_where_nobody_serves_a_stop_says_so_after_a_restart_s_time(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stopping, "GONE_S", 0.3)
+    monkeypatch.setattr(stopping, "DEAD_S", 0.6)
     run = shell.folder / "run"
     run.mkdir()
-    with socket.socket(socket.AF_UNIX) as gate:
+    with socket.socket(socket.AF_UNIX) as gate, socket.socket(socket.AF_UNIX) as lane:
         gate.bind(str(run / "gate.sock"))
+        lane.bind(str(run / "stop.sock"))  # nobody listens
         code, reason, message = shell.refused("stop", "--gate", "run")
         assert (code, reason) == (5, "STORE_UNAVAILABLE")
-        assert "no stop lane (`--simulate`)" in message
-        with socket.socket(socket.AF_UNIX) as lane:
-            lane.bind(str(run / "stop.sock"))  # nobody listens
-            assert "no gate answers" in shell.refused("stop", "--gate", "run")[2]
+        assert "no gate answers" in message
     (run / "gate.sock").unlink()
     (run / "stop.sock").unlink()
     assert "no gate answers" in shell.refused("stop", "--gate", "run")[2]

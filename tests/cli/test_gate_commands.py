@@ -289,7 +289,10 @@ def test_the_deployed_units_put_a_gate_where_commands_look() -> None:
 
 
 @pytest.mark.parametrize("command", ["status", "watch", "stop", "explain", "metrics"])
-def test_where_no_gate_is_the_environment_is_at_fault(shell: Shell, command: str) -> None:
+def test_where_no_gate_is_the_environment_is_at_fault(
+    shell: Shell, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("authguard_r.client.stopping.GONE_S", 0.3)
     code, text = shell(command, "--gate", shell.folder)
     assert code == 5
     assert "no gate answers" in text
@@ -405,14 +408,16 @@ def test_stop_goes_through_the_lane_and_says_whether_the_robot_stands(
         told = {**said, "role": "operator"}
         assert shell.json("stop", "--gate", path.parent) == (code, told)
         assert "suspended until `authguard resume`" in text
-    assert [json.loads(item.body) for _, item in seen] == [{"why": "a child"}, {"why": ""}]
+    bodies = [json.loads(item.body) for _, item in seen]
+    assert [body["why"] for body in bodies] == ["a child", ""]
+    assert len({body["key"] for body in bodies}) == 2  # each stop has a name of its own
 
 
 def test_a_robot_can_be_stopped_where_the_gate_is_in_shadow_mode(shell: Shell) -> None:
     async def shadow(peer: Peer) -> None:
         await peer.welcome(mode="shadow")
         number, _ = await peer.request()
-        peer.reply(number, stopped=True, after_ms=1)
+        peer.reply(number, stopped=True, controller=True, after_ms=1)
 
     with listening(shadow, "stop.sock") as path:
         assert shell("stop", "--gate", path.parent, "--role", "planner")[0] == 0

@@ -53,10 +53,15 @@ def now_of(vector: Json) -> Json:
     return {**APPROVAL["now"], "utc_ms": vector["now_ms"]}
 
 
-def verified() -> VerifiedMission:
-    mission = msgspec.convert(APPROVAL["mission"], Mission)
+def verified(vector: Json) -> VerifiedMission:
+    mission, group = msgspec.convert(APPROVAL["mission"], Mission), vector.get("issuer", {})
     issuer = Principal(
-        id=mission.issuer, role="operator", scope=scenarios.EVERYWHERE, usable_until_ms=1 << 60
+        id=mission.issuer,
+        role="operator",
+        scope=scenarios.EVERYWHERE,
+        usable_until_ms=1 << 60,
+        threshold=group.get("threshold", 1),
+        members=frozenset(group.get("members", ())),
     )
     return index_mission(mission, APPROVAL["digest"], issuer)
 
@@ -94,7 +99,7 @@ def test_the_gate_takes_answers_in_and_decides_with_them_as_published() -> None:
             answers = opened(vector)
             assert [msgspec.convert(p, VerifiedApproval) for p in plain_answers(vector)] == answers
             decision = decide(
-                verified(),
+                verified(vector),
                 msgspec.convert(APPROVAL["actions"][vector["action"]], Action),
                 state=attested(APPROVAL["states"][vector["state"]], facts),
                 facts=facts,
@@ -124,6 +129,7 @@ def test_the_oracle_decides_with_the_answers_as_published() -> None:
                 now=now_of(vector),
                 standing=standing_of(vector),
                 approvals=plain_answers(vector),
+                issuer={"id": APPROVAL["mission"]["issuer"], **vector.get("issuer", {})},
             )
             assert {name: verdict[name] for name in vector["expect"]} == vector["expect"]
 
@@ -131,7 +137,7 @@ def test_the_oracle_decides_with_the_answers_as_published() -> None:
 def test_every_answer_is_worth_what_is_published() -> None:
     for vector in APPROVAL["vectors"]:
         with case(named(vector)):
-            mission, standing = verified(), msgspec.convert(standing_of(vector), Standing)
+            mission, standing = verified(vector), msgspec.convert(standing_of(vector), Standing)
             asked = None
             if vector["request"] is not None:
                 ((grant, request),) = standing.requests.items()

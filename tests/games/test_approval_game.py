@@ -25,12 +25,13 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from authguard_r import enforcement, intake
+from authguard_r import enforcement
 from authguard_r.approvals import open_approval
 from authguard_r.core import decide as gate
 from authguard_r.core.action import Action, ActionScope
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.checks import approval as check
+from authguard_r.core.checks.people import people_behind
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
@@ -41,6 +42,7 @@ from authguard_r.keys import trust as keys
 from authguard_r.keys.algorithms import PrivateKey
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import FileSigner, open_key_file
+from authguard_r.management import answers
 from authguard_r.report import Report
 from authguard_reference.approval import scope_of, situation_of
 from authguard_reference.risk import rho
@@ -516,6 +518,16 @@ def past_a_denial(game: Game, between: Callable[[], None]) -> None:
 
 
 @strategy
+def past_a_denial_whose_certificate_ends(game: Game, between: Callable[[], None]) -> None:
+    game.propose()
+    game.hand_in(*game.asks("safety-officer-1/ends-soon", verdict=Verdict.DENY))
+    game.hand_in(*game.asks(*HONEST))
+    game.here.jump(24 * HOUR_MS + HOUR_MS)
+    between()
+    game.propose()
+
+
+@strategy
 def altered_bytes(game: Game, between: Callable[[], None]) -> None:
     """Honest people denied, or signed for the past: their signatures under the right words."""
     game.propose()
@@ -684,7 +696,7 @@ def everything_ever_taken_in(*, then: bool = False) -> Any:
 
 def keeping_all() -> Any:
     """Without the look at what was asked: an answer is kept whatever it is for."""
-    return patch.object(intake, "is_asked", lambda *_: True)
+    return patch.object(answers, "is_asked", lambda *_: True)
 
 
 def any_name() -> Any:
@@ -740,12 +752,17 @@ def kept_open() -> Any:
     )
 
 
-def counted(count: Callable[[list[Any], str], int]) -> Any:
-    return patch.object(check, "_count", count)
+def counted(count: Callable[[Any, list[Any]], int]) -> Any:
+    return patch.object(check, "people_behind", count)
 
 
 def _people(approvers: list[Any]) -> set[str]:
     return {item.id for item in approvers if not item.members}
+
+
+def never_closing() -> Any:
+    """Without the mark that a denial leaves when it comes in."""
+    return patch.object(answers, "deny_request", lambda standing, _: standing)
 
 
 def _mission_of(name: str) -> Any:
@@ -798,7 +815,13 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
         "people_who_may_not_answer: ends-soon",
     ),
     "role": (lambda: (by(role="supervisor"),), "people_who_may_not_answer: operator"),
-    "issuer": (lambda: (by(id="nobody"),), "the_issuer_answers_too"),
+    "issuer": (
+        lambda: (
+            by(id="nobody"),
+            counted(lambda who, approvers: people_behind(replace(who, id="nobody"), approvers)),
+        ),
+        "the_issuer_answers_too",
+    ),
     "robots": (
         lambda: (by(scope=scenarios.EVERYWHERE),),
         "people_who_may_not_answer: other-robot",
@@ -808,15 +831,16 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
         "people_who_may_not_answer: other-region",
     ),
     "people, not answers": (
-        lambda: (counted(lambda approvers, _: len(approvers)),),
+        lambda: (counted(lambda _, approvers: 1 + len(approvers)),),
         "one_person_has_two_keys",
     ),
-    "never added": (
+    "nobody twice": (
         lambda: (
             counted(
-                lambda approvers, issuer: (
-                    len(_people(approvers))
-                    + sum(a.threshold - (issuer in a.members) for a in approvers if a.members)
+                lambda issuer, approvers: (
+                    1
+                    + len(_people(approvers))
+                    + sum(a.threshold - (issuer.id in a.members) for a in approvers if a.members)
                 )
             ),
         ),
@@ -825,10 +849,13 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
     "less the issuer": (
         lambda: (
             counted(
-                lambda approvers, _: max(
-                    len(_people(approvers)),
-                    *[a.threshold for a in approvers if a.members],
-                    0,
+                lambda _, approvers: (
+                    1
+                    + max(
+                        len(_people(approvers)),
+                        *[a.threshold for a in approvers if a.members],
+                        0,
+                    )
                 )
             ),
         ),
@@ -837,8 +864,12 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
     "the issuer's key, one name": (lambda: (any_name(),), "the_issuer_has_a_second_name"),
     "an approver's key, one name": (lambda: (any_name(),), "an_approver_has_a_second_name"),
     "a denial": (
-        lambda: (patch.object(check, "Verdict", SimpleNamespace(DENY=None)),),
+        lambda: (patch.object(check, "Verdict", SimpleNamespace(DENY=None)), never_closing()),
         "past_a_denial",
+    ),
+    "a denial, once it came in": (
+        lambda: (never_closing(),),
+        "past_a_denial_whose_certificate_ends",
     ),
     **{
         f"{name} of the action": (

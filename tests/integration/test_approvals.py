@@ -7,28 +7,26 @@ Every test asserts the state afterwards: what the registry holds, and whether th
 from __future__ import annotations
 
 import threading
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-from cryptography import x509
 
 from authguard_r.approvals import answer
 from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import read_record
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Verdict
-from authguard_r.core.encoding import Tag, b64, unb64
+from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.encoding import Tag, b64, encode_fast, unb64
 from authguard_r.core.errors import AuthGuardError, RefusedError, StoreError
+from authguard_r.core.identifiers import GrantId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import rho
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.intake import _MOST_ANSWERS
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import read_authority, write_revocations
 from authguard_r.keys.signer import open_key_file
 from authguard_r.normalize import normalize
 from fixtures import approvals, scenarios, templates
@@ -572,6 +570,163 @@ def test_a_denial_wins_whenever_it_comes(bench: Bench) -> None:
         assert {item["verdict"] for item in named} == {"approve", "deny"}
 
 
+def test_nothing_helps_against_a_denial_that_came_in(tmp_path: Path) -> None:
+    own, scene = revoking(tmp_path)
+    approvals.hand_in(own, scene, "supervisor-1", verdict=Verdict.DENY)
+    assert approvals.requests(scene)[GrantId("go-to-pharmacy")].denied
+    revoke(own, scene, "supervisor-1")
+    yes = approvals.signed(own, approvals.approval(scene), "supervisor-2")
+    item = scene.sim.gate.management.approve(yes)
+    assert approvals.questions(scene).answered(item)["why_not"] == "APPROVAL_DENIED"
+    (question,) = approvals.questions(scene).told(None).requests
+    assert (question.denied, question.behind, question.answers[0].why_not) == (
+        True,
+        2,
+        "APPROVAL_DENIED",
+    )
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
+    assert "approvers" in approvals.records(scene, "decision")[-1]["open"]
+    assert (used_up(scene), moved(scene)) == ((0, 0), False)
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]  # asked anew, as the budget allows
+    assert scene.standing().counter == 2
+
+
+def test_a_denial_is_told_after_the_request_ran_out(bench: Bench) -> None:
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    approvals.hand_in(bench, scene, "supervisor-1", verdict=Verdict.DENY)
+    scene.sim.robot.pause(121_000)
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
+    assert used_up(scene) == (0, 0)
+
+
+def test_a_denial_of_before_requests_were_closed_denies_while_it_is_authentic(
+    bench: Bench,
+) -> None:
+    """An older store has the denial's token and no mark; the same token again closes, recorded."""
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    token = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), "supervisor-1")
+    scene.sim.gate.management.approve(token)
+    unmarked(scene)
+    approvals.hand_in(bench, scene, "supervisor-2")
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
+    assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
+    again = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), "supervisor-1")
+    scene.sim.gate.management.approve(again)
+    unmarked(scene)
+    for _ in range(2):
+        scene.sim.gate.management.approve(again)
+    closing = [r["open"] for r in approvals.records(scene, "management") if "closes" in r["open"]]
+    assert [told["counter"] for told in closing] == [1, 2, 2]
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
+
+
+def unmarked(scene: Scene) -> None:
+    """Take the mark of a denial out of the store."""
+
+    def job(act: Any) -> None:
+        standing = act.standing(scene.mission.mid)
+        requests = {
+            grant: msgspec.structs.replace(request, denied=False)
+            for grant, request in standing.requests.items()
+        }
+        act.hold(msgspec.structs.replace(standing, requests=requests))
+
+    scene.sim.gate.ledger.run(job)
+
+
+def test_a_denial_closes_a_request_whose_action_nobody_can_tell_any_more(bench: Bench) -> None:
+    """The record of the question is gone: an approval is worth nothing then, a denial closes."""
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    store = scene.sim.gate.ledger.store
+    store._held["question", f"{scene.mission.mid}:1"] = b"999999"  # type: ignore[attr-defined]
+    far = approvals.key_of(bench.folder, "far", Role.SUPERVISOR, robots=("lifter-1",))
+    approvals.hand_in(bench, scene, far, verdict=Verdict.DENY)
+    assert not approvals.requests(scene)[GrantId("go-to-pharmacy")].denied
+    approvals.hand_in(bench, scene, "supervisor-1")
+    told = approvals.records(scene, "management")[-1]["open"]
+    assert told["why_not"] == "APPROVAL_TIMEOUT"
+    approvals.hand_in(bench, scene, "supervisor-2", verdict=Verdict.DENY)
+    assert approvals.requests(scene)[GrantId("go-to-pharmacy")].denied
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
+
+
+def test_an_answer_while_nobody_stands_behind_the_mission_is_kept_and_says_so(
+    tmp_path: Path,
+) -> None:
+    own, scene = revoking(tmp_path)
+    revoke(own, scene, "operator-1")
+    token = approvals.signed(own, answer_to(scene, verdict=Verdict.DENY), "supervisor-1")
+    scene.sim.gate.management.approve(token)
+    told = approvals.records(scene, "management")[-1]["open"]
+    assert (told["verdict"], told["why_not"]) == ("deny", "CERTIFICATE_REVOKED")
+    assert "closes" not in told
+
+
+def answer_to(scene: Scene, *, verdict: Verdict) -> Approval:
+    """Return what an approver would sign, from what the store holds alone."""
+    ((grant, request),) = approvals.requests(scene).items()
+    verified = scenarios.verified(scene.mission)
+    made = answer(verified, grant, request, rid=scene.sim.robot.rid, verdict=verdict)
+    return msgspec.structs.replace(made, mission=scene.digest)
+
+
+def test_an_effective_answer_is_logged_once_however_often_it_comes(bench: Bench) -> None:
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    value = approvals.approval(scene)
+    for _ in range(3):
+        scene.sim.gate.management.approve(approvals.signed(bench, value, "supervisor-1"))
+    operator = approvals.key_of(bench.folder, "operator-2", Role.OPERATOR)
+    for _ in range(3):
+        scene.sim.gate.management.approve(approvals.signed(bench, value, operator))
+    told = [r["open"] for r in approvals.records(scene, "management") if "verdict" in r["open"]]
+    assert [(r["by"], r.get("why_not")) for r in told] == [
+        ("supervisor-1", None),
+        ("operator-2", "ROLE_DENIED"),
+    ]
+
+
+def test_answers_to_what_is_over_fill_no_store(bench: Bench) -> None:
+    """However an answer is varied, one mark and one record are left of a person's verdict."""
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    value = approvals.approval(scene)
+    approvals.hand_in(bench, scene, "supervisor-1")
+    assert approvals.outcome(scene) == []
+    store = scene.sim.gate.ledger.store
+    for verdict in Verdict:
+        for less_ms in range(20):
+            late = msgspec.structs.replace(
+                value, verdict=verdict, expires_ms=value.expires_ms - less_ms
+            )
+            scene.sim.gate.management.approve(approvals.signed(bench, late, "supervisor-1"))
+    told = [r["open"] for r in approvals.records(scene, "management") if "verdict" in r["open"]]
+    assert [(r["verdict"], r.get("why_not")) for r in told] == [
+        ("approve", None),
+        ("approve", "APPROVAL_TIMEOUT"),
+        ("deny", "APPROVAL_TIMEOUT"),
+    ]
+    held = {key: value for key, value in store._held.items() if key[0] == "late-answers"}  # type: ignore[attr-defined]
+    marks = [f"supervisor-1:{verdict}" for verdict in Verdict]
+    assert held == {("late-answers", "deliver-p1:1"): encode_fast(marks)}
+
+
+def test_an_answer_to_what_nobody_asked_is_a_refusal_like_any_other(bench: Bench) -> None:
+    scene = approvals.scene(bench, "isolation-room")
+    approvals.outcome(scene)
+    for changes in ({"counter": 2}, {"counter": 99}, {"mid": "another"}):
+        value = approvals.approval(scene, **changes)
+        scene.sim.gate.management.approve(approvals.signed(bench, value, "supervisor-1"))
+    assert not [r for r in approvals.records(scene, "management") if "verdict" in r["open"]]
+    refused = [r["open"]["reasons"] for r in approvals.records(scene, "refusal")]
+    assert refused == [["APPROVAL_TIMEOUT"]] * 3  # in a gate's process repeats are counted
+    held = scene.sim.gate.ledger.store._held  # type: ignore[attr-defined]
+    assert not [key for kind, key in held if kind in {"late-answers", "approvals"}]
+
+
 def test_a_denial_by_nobody_who_may_answer_denies_nothing(bench: Bench) -> None:
     scene = approvals.scene(bench, "isolation-room")
     approvals.outcome(scene)
@@ -604,15 +759,7 @@ def revoking(tmp_path: Path) -> tuple[Bench, Scene]:
 
 def revoke(own: Bench, scene: Scene, name: str) -> None:
     """Revoke a principal, as an administrator does, and let the gate have the new list."""
-    chain = folder_signer(own.folder, name).chain
-    serial = x509.load_der_x509_certificate(chain[0]).serial_number
-    authority = read_authority(own.folder, "people")
-    at = datetime.fromtimestamp(scene.sim.robot.wall_ms() / 1000, UTC)
-    write_revocations(
-        own.folder, "people", authority.key, serials=(serial,), now=at, number=2, days=30
-    )
-    path = own.folder / "revocations" / "people.json"
-    scene.sim.gate.lists.install(path.read_bytes())
+    approvals.revoke(own.folder, scene, folder_signer(own.folder, name))
 
 
 def test_an_approver_revoked_between_asking_and_answering(tmp_path: Path) -> None:

@@ -296,10 +296,11 @@ def test_an_approval_behind_a_denial_is_told_that_it_moves_nothing(
     assert (code, told.get("verdict")) == (0, "deny"), told
     yes = ("approvals", "approve", "1", *at, *keys("supervisor-1"), "--yes")
     code, told = authguard(capsys, *yes)
-    assert (code, told["counts"], told["denied"], told["why_not"]) == (1, False, True, "")
+    assert (code, told["counts"], told["denied"]) == (1, False, True)
+    assert told["why_not"] == "APPROVAL_DENIED"
     assert call(list(yes)) == 1
     said = capsys.readouterr().out
-    assert "it is denied: the next proposal closes it" in said
+    assert "somebody denied: the request is closed" in said
     assert "people are behind it" not in said
     assert call(["approvals", "list", *at]) == 3
     listed = capsys.readouterr().out

@@ -191,8 +191,8 @@ def aborted(yard: Yard, walk: Walk, reason: str) -> Told:
     return record
 
 
-@pytest.fixture(scope="module")
-def folder() -> Path:
+def mule_folder() -> Path:
+    """Return a new folder with the mule's site, binding, mission and keys."""
     made = Path(mkdtemp(prefix="ag-mule-", dir="/tmp"))
     (made / "site.yaml").write_text(SITE_WITH_BRAKES)
     (made / "binding.yaml").write_text(BINDING)
@@ -204,9 +204,9 @@ def folder() -> Path:
     return made
 
 
-@pytest.fixture(scope="module")
-def yard(folder: Path) -> Iterator[Yard]:
-    running = RunningGate(
+def mule_gate(folder: Path) -> RunningGate:
+    """Return a gate with the mule and its estimator, which is to be entered."""
+    return RunningGate(
         robot=True,
         estimator=True,
         rid=MULE,
@@ -214,7 +214,16 @@ def yard(folder: Path) -> Iterator[Yard]:
         site=folder / "site.yaml",
         binding=folder / "binding.yaml",
     )
-    with running:
+
+
+@pytest.fixture(scope="module")
+def folder() -> Path:
+    return mule_folder()
+
+
+@pytest.fixture(scope="module")
+def yard(folder: Path) -> Iterator[Yard]:
+    with mule_gate(folder) as running:
         yield Yard(running, folder / "mission.yaml")
 
 
@@ -504,7 +513,8 @@ def test_the_table_of_bounds_names_each_cause_and_its_test() -> None:
     named = [re.findall(r"`(test_\w+)`", row) for row in rows]
     assert all(named), rows
     here = Path(__file__)
-    files = (here, here.with_name("test_gate_streams.py"), here.with_name("test_gate_watching.py"))
+    others = ("test_gate_streams.py", "test_gate_watching.py", "test_stop_faults.py")
+    files = (here, *map(here.with_name, others))
     there = {
         name for f in files for name in re.findall(r"^def (test_\w+)", f.read_text(), re.MULTILINE)
     }

@@ -155,7 +155,7 @@ def alerts(gate: RunningGate) -> list[str]:
         return [alert["what"] for alert in person.status()["alerts"]]
 
 
-def test_what_moves_is_stopped_and_its_release_stays_open_for_a_person(
+def test_what_moves_is_stopped_and_its_known_outcome_is_written_when_the_clock_returns(
     gate: RunningGate, active: Active, clock: WallClock
 ) -> None:
     with moving(gate) as (line, ticket):
@@ -167,10 +167,13 @@ def test_what_moves_is_stopped_and_its_release_stays_open_for_a_person(
     assert active.status["open"] == [ticket]
     assert [r for r in gate.news() if r.kind == "outcome"] == []  # no record without a time
     clock.is_wrong_by(0)
-    step = propose(gate, GO)  # nobody knows how far it got: it may be there
-    assert (step["released"], step["reasons"]) == (False, ["REPEAT_EXHAUSTED"])
-    standing = active.order(Verb.RESOLVE, ticket=ticket, outcome=Outcome.ABORTED)
-    assert (standing["status"], standing.get("open", [])) == ("active", [])
+    until(lambda: active.status["open"] == [], "an outcome in the log")
+    (outcome,) = [r for r in gate.news() if r.kind == "outcome"]
+    assert (outcome.decision, outcome.open["reasons"]) == ("aborted", ["CLOCK_BEHIND"])
+    assert outcome.open["ticket"] == ticket
+    assert active.status["status"] == "active"
+    with pytest.raises(AuthGuardError):  # a person has nothing to resolve any more
+        active.order(Verb.RESOLVE, ticket=ticket, outcome=Outcome.FAILED)
     with moving(gate) as (line, _):
         active.order(Verb.SUSPEND)
         assert line.told(Kind.REPLY)["steps"][0]["execution"]["recorded"] is True

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """An emergency at a gate that runs: without a mission, on a full disk, by a wrong clock, killed.
 
-Real processes. What was done is in the log exactly once, whatever ended the gate that did it.
+Real processes. What was done is in the log exactly once, whatever ended the gate that did it, and
+nothing else is: not what a thief of the disk wrote.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import os
 import subprocess
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,9 +21,12 @@ import pytest
 
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.emergency.policy import EmergencyPolicy
-from authguard_r.wire.messages import ClientRole
+from authguard_r.gate.roads import STRANGE
+from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios
-from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, until
+from fixtures.emergency_files import forge, record
+from fixtures.estimator import attesting
+from fixtures.gate_process import AUTHGUARD, PATIENCE_S, Line, RunningGate, until
 from integration.test_gate_recovery import fill, turn_the_clock_back
 from integration.test_gate_watching import connected, operator
 
@@ -29,6 +34,9 @@ HOUR_MS = 3_600_000
 #: A day that is over, whatever the clock says.
 OVER = {"not_before": "2020-01-01T00:00:00Z", "expiry": "2020-01-02T00:00:00Z"}
 FAST = ("--speed-up", "50", "--at", "station-103")
+#: Faster than the emergency capability's 300 mm/s.
+GO = b'navigate_to(destination="Pharmacy", speed=0.5)'
+WAIT_MS = int(PATIENCE_S * 1_000)
 
 
 def site_file(folder: Path) -> Path:
@@ -69,7 +77,7 @@ class Ward(RunningGate):
 
     def call(self, capability: str, name: str = "planner") -> dict[str, Any]:
         with self.client(ClientRole.PLANNER, name) as planner:
-            return planner.emergency(capability, timeout_ms=int(PATIENCE_S * 1_000))
+            return planner.emergency(capability, timeout_ms=WAIT_MS)
 
     def told(self) -> list[tuple[str, int]]:
         """Return what the log says of emergencies: decision, and number in the journal."""
@@ -148,6 +156,82 @@ def test_what_a_full_disk_did_not_take_is_in_the_log_once_after_a_kill(tmp_path:
         with suppress(OSError):
             ward.end()
         os.system(f"umount -l {disk}")
+
+
+def test_a_robot_that_moves_faster_than_the_capability_is_helped_for_one_use(
+    tmp_path: Path,
+) -> None:
+    twice = {**emergency_policies.GO_SAFE, "per_hour": 2}
+    with Ward(tmp_path, twice, robot=("--speed-up", "8")) as ward, ThreadPoolExecutor(1) as beside:
+        ward.activate()
+        with ward.client(ClientRole.PLANNER, "walks") as planner, operator(ward) as person:
+            walk = beside.submit(planner.propose, GO)
+            until(lambda: person.status()["leases"], "the walk")
+            time.sleep(0.5)  # it has its speed
+            helped = person.emergency("go-safe", timeout_ms=WAIT_MS)
+            assert helped["execution"]["outcome"] == "succeeded", helped
+            assert walk.result()["steps"][0]["execution"]["outcome"] == "aborted"
+            second, third = (person.emergency("go-safe", timeout_ms=WAIT_MS) for _ in range(2))
+        assert second["execution"]["outcome"] == "succeeded", second
+        assert third["reasons"] == ["RATE_EXCEEDED"]  # the first was one use, and not two
+        assert [decision for decision, _ in ward.told()] == ["accept", "succeeded"] * 2
+
+
+def test_what_a_controller_does_not_start_is_no_use_and_each_caller_has_its_own(
+    tmp_path: Path,
+) -> None:
+    once = {**emergency_policies.GO_SAFE, "per_hour": 1}
+    once["callers"] = ["gate", "operator", "planner"]
+    with (
+        Ward(tmp_path, once, robot=False, estimator=False) as ward,
+        attesting(ward, "station-103"),
+        Line(ward.socket).hello(ClientRole.CONTROLLER) as controller,
+        ThreadPoolExecutor(1) as beside,
+    ):
+
+        def ends(outcome: str) -> None:
+            item = controller.next()
+            while item is not None and item.kind is not Kind.DISPATCH:  # of the one before
+                item = controller.next()
+            assert item is not None
+            ticket = msgspec.json.decode(item.body)["ticket"]
+            controller.say(Kind.ENDED, {"ticket": ticket, "outcome": outcome})
+
+        def call(role: ClientRole, name: str, outcome: str) -> str:
+            """Return how a call ended, of which the controller says how it ended."""
+            with ward.client(role, name) as client:
+                asked = beside.submit(client.emergency, "go-safe", timeout_ms=WAIT_MS)
+                ends(outcome)
+                return str(asked.result()["execution"]["outcome"])
+
+        ends("succeeded")  # the gate's own, which comes first: its guards hold
+        until(lambda: len(ward.told()) == 2, "its record")
+        for name in ("one", "two", "one", "two"):
+            assert call(ClientRole.PLANNER, name, "not_started") == "not_started"
+        assert call(ClientRole.PLANNER, "one", "succeeded") == "succeeded"
+        assert ward.call("go-safe", "two")["reasons"] == ["RATE_EXCEEDED"]
+        assert call(ClientRole.OPERATOR, "nurse", "succeeded") == "succeeded"
+        callers = [r.open["caller"] for r in ward.records() if r.decision == "succeeded"]
+        assert callers == ["gate", "planner", "operator"]
+
+
+def test_what_a_thief_of_the_disk_wrote_into_the_journal_is_told_of_and_not_believed(
+    ward: Ward,
+) -> None:
+    assert ward.call("go-safe")["execution"]["outcome"] == "succeeded"
+    assert ward.stop_process("gate") == 0
+    forged = [record(n, caller="operator", by="u1000.nurse") for n in range(1, 5)]
+    forge(ward.store.with_name("robot.db.emergency"), *forged, record(5, robot=scenarios.OTHER))
+    ward.start_gate()
+    with operator(ward) as person:
+        alerts = [alert for alert in person.status()["alerts"] if alert["what"] == STRANGE]
+    assert alerts == [{"what": STRANGE, "entries": 5}]
+    assert [r.open for r in ward.records() if r.kind == "alert"] == alerts
+    assert ward.told() == [("accept", 0), ("succeeded", 0)]  # its own, from before
+    until(lambda: connected(ward), "the controller's return")
+    assert until(lambda: ward.call("go-safe")["ticket"], "an emergency after it")
+    assert ward.stop_process("gate") == 0
+    assert ward.verified()
 
 
 def journaled(ward: Ward) -> bool:

@@ -164,7 +164,8 @@ def test_a_second_proposal_is_not_kept_waiting() -> None:
                         "/v1/proposals", json=SCAN, headers={"idempotency-key": "b"}
                     )
                     with gate.client(ClientRole.OPERATOR, "stops"):
-                        assert call(["stop", "--gate", str(gate.run)]) == 0
+                        stopping = asyncio.to_thread(call, ["stop", "--gate", str(gate.run)])
+                        assert await stopping == 0
                     return await first, second
 
             first, second = asyncio.run(talk())

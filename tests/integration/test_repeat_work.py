@@ -18,15 +18,16 @@ import pytest
 
 import authguard_reference as oracle
 import authguard_reference.templates as oracle_templates
-from authguard_r.assembly import Simulation
+from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.prompts import Prompts, activated, count_prompts
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
+from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of, encode, unb64
-from authguard_r.core.errors import StoreError
+from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_timestamp
-from authguard_r.core.token import read_token
+from authguard_r.core.token import read_token, sign_object
 from authguard_r.ledger import Act
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.sqlite import read_held, read_rows
@@ -219,14 +220,55 @@ def test_the_log_alone_is_enough_to_decide_again(tmp_path: Path) -> None:
     assert verdicts == ["accept", "accept", "reject"]
 
 
+def test_a_scheduler_ends_no_operator_s_stop() -> None:
+    """An activation leaves it standing: only a resume that a person signed after it ends it."""
+    sim = templates.admitted()
+    gate, deliver = sim.gate, templates.actions(instance().fill)[0]
+    gate.management.activate(token())
+    gate.enforcer.stop(by="hand", is_planner=False, suspends=True)
+    gate.management.command(ended_by(gate.management.standing("deliver.1"), Verb.REVOKE))
+    sim.robot.pause(10 * templates.MINUTE_MS)
+    now = sim.robot.wall_ms()
+    window = {"not_before": to_timestamp(now), "expiry": to_timestamp(now + 1_400_000)}
+    made = gate.management.activate(token(instance(2, **window)))
+    assert made.status == "suspended"
+    refused = scenarios.propose(sim, deliver)
+    assert refused.outcome is None
+    assert "MISSION_SUSPENDED" in refused.judged.decision.reasons
+    assert sim.robot.state.region == "dock"
+    before = ended_by(made, Verb.RESUME, issued_ms=now - 10 * templates.MINUTE_MS)
+    with pytest.raises(RefusedError, match="ORDER_TOO_OLD"):
+        gate.management.command(before)
+    sim.robot.pause(1)
+    made = gate.management.command(ended_by(made, Verb.RESUME, issued_ms=now + 1))
+    assert made.status == "active"
+    assert scenarios.propose(sim, deliver).outcome == "succeeded"
+
+
+def ended_by(standing: Any, verb: Verb, **changes: Any) -> bytes:
+    """Return an operator's signed order about a mission."""
+    order = Command(
+        verb=verb,
+        mid=standing.mid,
+        version=standing.version,
+        mission=standing.digest,
+        nonce=b64(scenarios.random_bytes(16)),
+        expires_ms=scenarios.START_MS + 20 * templates.MINUTE_MS,
+    )
+    signed = msgspec.structs.replace(order, **changes)
+    signer = folder_signer(templates.one_folder(), "operator-1")
+    return sign_object(signed, Tag.COMMAND, signer)
+
+
 def test_the_record_names_the_scheduler_the_issuer_and_the_template() -> None:
     sim = templates.admitted()
     sim.gate.management.activate(token())
     (record,) = activations(sim.gate.ledger.store.rows())  # type: ignore[attr-defined]
     assert record.link.mid == "deliver.1"
-    said = {name: record.open[name] for name in ("by", "scheduler", "template", "instance")}
-    assert said == {
-        "by": "operator-1",
+    names = ("by", "scheduler", "issuer", "template", "instance")
+    assert {name: record.open[name] for name in names} == {
+        "by": "scheduler-0",  # who acted now
+        "issuer": "operator-1",
         "scheduler": "scheduler-0",
         "template": templates.digest(),
         "instance": 1,

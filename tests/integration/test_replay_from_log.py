@@ -47,7 +47,7 @@ from authguard_r.site.model import Emergency, site_digest
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole, Mode
-from fixtures import scenarios, templates
+from fixtures import approvals, scenarios, templates
 from fixtures.gate_process import RunningGate, until
 from missionpair.ablation import without
 from missionpair.bench import Bench, approve, make_bench, propose
@@ -243,6 +243,74 @@ def test_a_decision_after_a_new_list_is_made_under_that_list(bench: Bench, tmp_p
     assert again(rows, bench.folder).agree == again(rows, tmp_path / "auth").agree == 2
     gone = destroyed(rows, verbs(rows, "revocation")[0], "list")
     assert again(gone, bench.folder).agree == 2  # what it revoked is not known: nobody
+
+
+def denied(bench: Bench, tmp_path: Path) -> list[Row]:
+    """Return a log in which a denial came in, its signer was revoked, and others approved."""
+    shutil.copytree(bench.folder, tmp_path / "auth")
+    scene = restricted(bench)
+    propose(scene)
+    approvals.hand_in(bench, scene, "supervisor-2", verdict=Verdict.DENY)
+    scene.sim.gate.lists.install(without_one(tmp_path / "auth", "supervisor-2"))
+    approve(bench, scene, "supervisor-1", "safety-officer-1")
+    right, scene.plan = scene.plan, approvals.plan("plant-room")
+    assert "APPROVAL_DENIED" not in approvals.outcome(scene)
+    scene.plan = right
+    assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
+    propose(scene)
+    return rows_of(scene.sim)
+
+
+def test_a_denial_of_one_who_was_revoked_since_is_decided_alike_again(
+    bench: Bench, tmp_path: Path
+) -> None:
+    found = again(denied(bench, tmp_path), bench.folder)
+    assert (found.decisions, found.agree, found.differ) == (4, 4, 0)
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_denial_that_was_taken_out_or_put_in_is_found(
+    bench: Bench, tmp_path: Path, is_there: bool
+) -> None:
+    rows = denied(bench, tmp_path)
+    (answered,) = [
+        seq
+        for seq in verbs(rows, "answer")
+        if "closes" in read_record(rows[seq].record, where="").open
+    ]
+
+    def nobody_denied(record: Record, _: dict[str, Sealed]) -> Record:
+        opened = {name: told for name, told in record.open.items() if name != "closes"}
+        return msgspec.structs.replace(record, open=opened)
+
+    def still_open(record: Record, sealed: dict[str, Sealed]) -> Record:
+        standing = sealed["standing"].value[0]
+        requests = {
+            grant: {name: told for name, told in request.items() if name != "denied"}
+            for grant, request in standing["requests"].items()
+        }
+        told = [{**standing, "requests": requests}]
+        sealed["standing"] = msgspec.structs.replace(sealed["standing"], value=told)
+        return record
+
+    change, seq = (
+        (nobody_denied, answered) if is_there else (still_open, kinds(rows, "decision")[1])
+    )
+    found = again(forged(rows, seq, change), bench.folder)
+    # what is told once goes on as it is told; one standing without the denial is told, and the next
+    assert found.differ == (1 if is_there else 2)
+
+
+def test_a_mission_that_a_group_issued_is_decided_with_its_people(bench: Bench) -> None:
+    two = ("supervisor-1", "supervisor-2")
+    scene = approvals.scene_of_group(bench, *two, threshold=2, tau_2=31, t=3)
+    approvals.outcome(scene)
+    for who in (*two, "safety-officer-1"):
+        approvals.hand_in(bench, scene, who)
+        outcome = approvals.outcome(scene)
+    assert outcome == []
+    found = again(rows_of(scene.sim), bench.folder)
+    assert (found.decisions, found.agree) == (4, 4)
 
 
 @pytest.mark.parametrize("with_trust", [True, False])

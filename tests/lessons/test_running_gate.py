@@ -129,7 +129,9 @@ def lane() -> Iterator[RunningGate]:
 def test_l1_every_kind_of_request_but_a_proposal_begins_nothing_and_a_proposal_takes_the_road() -> (
     None
 ):
-    assert {*ASKED, Kind.PROPOSE} == {k for r, m in MAY.items() if r != "gate" for k in m}
+    assert {*ASKED, Kind.PROPOSE, Kind.STOP} == {
+        k for r, m in MAY.items() if r != "gate" for k in m
+    }
     with RunningGate() as gate:
         gate.activate(gate.token(gate.mission(guards=[], place_max_age="10 min")))
         seen = snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=1, seq=1)
@@ -139,7 +141,7 @@ def test_l1_every_kind_of_request_but_a_proposal_begins_nothing_and_a_proposal_t
         lines[ClientRole.ESTIMATOR].say(Kind.SNAPSHOT, Attest(token=state))
         lines[ClientRole.ESTIMATOR].told(Kind.REPLY)
         for role, line in lines.items():
-            for number, kind in enumerate(sorted(MAY[role] - {Kind.PROPOSE}), 1):
+            for number, kind in enumerate(sorted(MAY[role] - {Kind.PROPOSE, Kind.STOP}), 1):
                 line.say(kind, ASKED[kind], number)
                 got = None if line is robot else line.next()
                 assert got is None or (got.id == number and b"INTERNAL_FAULT" not in got.body)
@@ -151,6 +153,10 @@ def test_l1_every_kind_of_request_but_a_proposal_begins_nothing_and_a_proposal_t
         robot.say(Kind.ENDED, {"ticket": first["ticket"], "outcome": "succeeded"})
         assert planner.told(Kind.EVENT)["ticket"] == first["ticket"]
         assert planner.told(Kind.REPLY)["steps"][0]["execution"]["outcome"] == "succeeded"
+        for role in (r for r, may in MAY.items() if Kind.STOP in may):
+            lines[role].say(Kind.STOP, {}, 99)
+            heard = iter(robot.next, None)
+            assert next(f.kind for f in heard if f.kind is not Kind.RENEW) is Kind.HALT
         for line in lines.values():
             line.close()
 
@@ -178,6 +184,7 @@ def test_l1_every_verb_of_the_enforcer_that_begins_a_motion_goes_down_the_road()
     report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.judged is not None
     assert report.judged.released
+    enforcer.stopping.hold()
     assert len(sim.robot.trace) == 1
     sim.gate.close()
 
@@ -286,7 +293,6 @@ def test_l19_no_part_of_the_stop_lane_needs_a_store_or_a_decision() -> None:
         if f"{name}.".startswith(f"authguard_r.{part}.")
     ]
     assert slow == []
-    assert Kind.STOP not in {kind for kinds in MAY.values() for kind in kinds}  # the gate has none
 
 
 def test_l19_a_stop_does_not_need_the_gate() -> None:

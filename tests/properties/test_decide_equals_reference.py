@@ -122,7 +122,7 @@ def test_gate_and_oracle_agree_on_whatever_is_broken() -> None:
 
 
 def test_gate_and_oracle_agree_under_an_organization_and_with_groups() -> None:
-    """The strictest policy counts, and what a group counts is added to nobody."""
+    """The strictest policy counts, and nobody behind two signatures counts twice."""
     counted: Counter[str] = Counter()
 
     @settings(RELAXED, max_examples=ORGANIZED)
@@ -134,8 +134,11 @@ def test_gate_and_oracle_agree_under_an_organization_and_with_groups() -> None:
         counted["group"] += verdict == Verdict.ACCEPT and any(
             answer.approver.members for answer in case.approvals
         )
+        counted["group issues"] += verdict == Verdict.ACCEPT and bool(case.issuers[1])
 
     holds()
     assert counted["accept"] >= ORGANIZED // 5, counted
     assert counted["APPROVAL_REQUIRED"] >= ORGANIZED // 5, counted
     assert counted["group"] >= ORGANIZED // 20, counted
+    assert counted["group issues"] >= ORGANIZED // 50, counted
+    assert counted["APPROVAL_DENIED"] >= ORGANIZED // 50, counted

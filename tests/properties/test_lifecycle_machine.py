@@ -36,7 +36,7 @@ from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Report
 from authguard_r.running import Running
-from authguard_reference.approval import scope_of, situation_of
+from authguard_reference.approval import fits, scope_of, situation_of
 from authguard_reference.place import guard_finding
 from authguard_reference.policy import instant_ms
 from authguard_reference.risk import tier_of
@@ -146,6 +146,7 @@ class Model:
         self.registry: dict[str, Json] = {}
         self.active: str | None = None
         self.answers: dict[tuple[str, int], list[Json]] = {}
+        self.asked: dict[tuple[str, int], Json] = {}  # the action that each request is about
         self.spent_nonces: set[bytes] = set()
         self.stopped_ms = 0  # when an operator stopped the robot, and no resume came since
         self.halted_ms: dict[str, int] = {}  # when a mission was suspended last
@@ -368,6 +369,7 @@ class Model:
             known = requests.get(grant["id"], {})
             if any(known.get(field) != question[field] for field in ("scope", "situation")):
                 counter = standing.get("counter", 0) + 1
+                self.asked[self.active, counter] = action
                 until = now["utc_ms"] + of["risk_policy"]["valid_ms"]
                 asked = {**question, "counter": counter, "expires_ms": until}
                 standing = {
@@ -383,6 +385,21 @@ class Model:
                 standing = advanced(standing, "expire") or standing
         self.registry[self.active] = standing
         return decision
+
+    def answer(self, given: Json, now: Json) -> None:
+        """Keep an answer to an open request; a denial that fits closes it (approval.md)."""
+        said = given["approval"]
+        named = said["mid"], said["counter"]
+        self.answers.setdefault(named, []).append(given)
+        standing = self.registry[said["mid"]]
+        request = standing["requests"][said["grant"]]
+        if said["verdict"] != "deny" or self.active != said["mid"]:
+            return
+        of, expected = self.mission(said["mid"]), {"rid": scenarios.RID, "counter": named[1]}
+        seen: Json = {"policies": [of["risk_policy"]], "action": self.asked[named], "now": now}
+        if now["utc_ms"] <= request["expires_ms"] and fits(given, expected, of, **seen):
+            requests = {**standing["requests"], said["grant"]: {**request, "denied": True}}
+            self.registry[said["mid"]] = {**standing, "requests": requests}
 
     def settle(self, name: str, ticket: str, outcome: str, used: Json, now_ms: int) -> None:
         standing = self.registry[name]
@@ -631,8 +648,7 @@ class Life(RuleBasedStateMachine):
         )
         made = sign_object(value, Tag.APPROVAL, signer(by))
         item = self.here.gate.management.approve(made)
-        known = self.model.answers.setdefault((standing["mid"], request["counter"]), [])
-        known.append(plain(item))
+        self.model.answer(plain(item), {"utc_ms": self.now_ms()})
 
     # the world and the gate
 

@@ -111,6 +111,15 @@ def test_a_request_that_was_closed_before_it_ran_out_is_not_told(bench: Bench) -
     assert [event["what"] for event in told] == ["asked"]
 
 
+def test_a_request_that_was_denied_does_not_run_out(bench: Bench) -> None:
+    scene, opened, told = asked(bench)
+    no = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), "supervisor-1")
+    opened.answered(scene.sim.gate.management.approve(no))
+    scene.sim.robot.pause(121_000)
+    opened.listen()
+    assert [event["what"] for event in told] == ["asked", "denied"]
+
+
 def test_what_a_gate_before_this_one_asked_runs_out_too(bench: Bench) -> None:
     scene, _, _ = asked(bench)
     told: list[dict[str, Any]] = []
@@ -278,7 +287,11 @@ def test_the_card_says_everything_that_counts(bench: Bench) -> None:
     ):
         assert part in text, part
     listed = "\n".join(brief(found, shown(found)))
-    for part in ("DENIED: the next proposal", "DENIES", "may answer: safety_officer, supervisor"):
+    for part in (
+        "DENIED: closed; the next proposal is told so",
+        "DENIES",
+        "may answer: safety_officer, supervisor",
+    ):
         assert part in listed
     assert "3 of 3 people" not in listed  # a denial outweighs however many are behind it
 

@@ -36,6 +36,7 @@ TOP = root("Vector root", **DATES)
 PEOPLE = authority(TOP, name="people of approvals", **DATES)
 ROBOT, REGION = "urn:authguard-r:robot:", "urn:authguard-r:region:"
 MEMBERS = ("supervisor-1", "supervisor-2", "supervisor-3")
+OTHERS = ("officer-1", "supervisor-3", "supervisor-4")
 #: Where each way leads: nobody, one, or two are asked beside the issuer.
 GOALS = ("pharmacy", "isolation-room", "plant-room")
 
@@ -139,6 +140,8 @@ def signers() -> dict[str, Held]:
         "board-3-issuer": (Role.SUPERVISOR, (*EVERYWHERE, *_group(3, "operator-1", *MEMBERS))),
         "board-2-issuer": (Role.SUPERVISOR, (*EVERYWHERE, *_group(2, "operator-1", *MEMBERS))),
         "board-1-issuer": (Role.SUPERVISOR, (*EVERYWHERE, *_group(1, "operator-1", *MEMBERS))),
+        "board-2-same": (Role.SUPERVISOR, (*EVERYWHERE, *_group(2, *MEMBERS[:2]))),
+        "board-2-others": (Role.SUPERVISOR, (*EVERYWHERE, *_group(2, *OTHERS))),
     }
     found = {name: _certified(name, role, names) for name, (role, names) in someone.items()}
     role = (eku(Role.SUPERVISOR), True)
@@ -247,7 +250,10 @@ def principals(answers: Answers) -> dict[str, Json]:
         "board-3-issuer": 3,
         "board-2-issuer": 2,
         "board-1-issuer": 1,
+        "board-2-same": 2,
+        "board-2-others": 2,
     }
+    members = {"board-2-same": MEMBERS[:2], "board-2-others": OTHERS}
     roles = {
         "officer-1": "safety_officer",
         "operator-1": "operator",
@@ -276,7 +282,10 @@ def principals(answers: Answers) -> dict[str, Json]:
         }
         if name in groups:
             issuer = ["operator-1"] if name.endswith("issuer") else []
-            found[name] |= {"threshold": groups[name], "members": [*issuer, *MEMBERS]}
+            found[name] |= {
+                "threshold": groups[name],
+                "members": [*issuer, *members.get(name, MEMBERS)],
+            }
     return found
 
 

@@ -11,12 +11,24 @@ from typing import Any
 from authguard_r.core.encoding import b64
 from fixtures import decision_cases, scenarios
 from making import approval_faults as faults
-from making.answers import DIGEST, MISSION, NOW_MS, STATES, principals, request, situation, trusted
+from making.answers import (
+    DIGEST,
+    MEMBERS,
+    MISSION,
+    NOW_MS,
+    OPEN_MS,
+    STATES,
+    principals,
+    request,
+    situation,
+    trusted,
+)
 from making.approval_cases import ACTIONS, ASK, ONE, REQUESTS, TWO, Cases
 
 Json = dict[str, Any]
 
 OTHER = b64(bytes([1] * 32))
+POLICY = decision_cases.plain(MISSION.risk_policy)
 
 
 def approval_vectors() -> Json:
@@ -28,6 +40,8 @@ def approval_vectors() -> Json:
     bound(made)
     people(made)
     groups(made)
+    distinct(made)
+    issued_by_a_group(made)
     faults.in_time(made)
     faults.asked(made)
     faults.policies(made)
@@ -101,6 +115,11 @@ def denied(made: Cases) -> None:
     for name, (by, why, changes) in bad.items():
         made.answers.give(name, by, verdict="deny", **changes)
         made.add(name, [*TWO, (name, why)], [])
+    closed = {"request": "plant-room, denied"}
+    late = [(name, "APPROVAL_DENIED") for name, _ in TWO]
+    made.add("approvals after a denial, whose signer is gone", late, no, **closed)
+    made.add("a denied request that ran out", [], no, now_ms=OPEN_MS + 1, **closed)
+    made.add("a second denial", [("officer-1 denies", "")], no, **closed)
     name = "a denial where nobody is asked"
     made.answers.give(name, "officer-1", verdict="deny")
     made.add(name, [(name, "APPROVAL_TIMEOUT")], [], "pharmacy", asked=None)
@@ -133,7 +152,7 @@ def people(made: Cases) -> None:
 
 
 def groups(made: Cases) -> None:
-    """A group's key: its threshold, less one for the issuer; never added to anybody."""
+    """A group's key: as many people as its threshold, of whom the issuer may be one."""
     boards = ("board-2", "board-1", "board-3-issuer", "board-2-issuer", "board-1-issuer")
     for by in boards:
         made.answers.give(by, by)
@@ -146,3 +165,40 @@ def groups(made: Cases) -> None:
     made.add("two of a group with the issuer", [("board-2-issuer", "")], ASK)
     alone = [ONE, ("board-1-issuer", "ISSUER_MISMATCH")]
     made.add("a group of which the issuer may be the one", alone, ASK)
+
+
+def distinct(made: Cases) -> None:
+    """Who may be behind two signatures counts once, and all others count. Four are needed."""
+    made.answers.give("board-2-same", "board-2-same")
+    made.answers.give("board-2-others", "board-2-others")
+    four: Json = {"policies": [{**POLICY, "t": 4}], "need": (65, 4)}
+    same, others = ("board-2-same", ""), ("board-2-others", "")
+    made.add("two people and a group of the same two", [*TWO, same], ASK, **four)
+    made.add("two groups of the same people", [same, ("board-2", "")], ASK, **four)
+    made.add("a group and one person beside it", [same, ("supervisor-3", "")], [], **four)
+    made.add("two groups that share nobody", [same, others], [], **four)
+    made.add("two groups that may share one person", [("board-2", ""), others], [], **four)
+    five: Json = {"policies": [{**POLICY, "t": 5}], "need": (65, 5)}
+    made.add("the same where five are needed", [("board-2", ""), others], ASK, **five)
+    three = [("board-2", ""), others, ONE]
+    made.add("and a person who may be of the one", three, ASK, **five)
+    made.add("two groups that share nobody, for five", [same, others], [], **five)
+
+
+def issued_by_a_group(made: Cases) -> None:
+    """Three are needed, and a group has signed the mission: its people are behind it already."""
+    two: Json = {"issuer": {"threshold": 2, "members": [*MEMBERS[:2]]}}
+    not_again = [(name, "ISSUER_MISMATCH") for name, _ in TWO]
+    made.add("the mission's signature alone, of two people", [], ASK, "isolation-room", **two)
+    made.add("the issuers themselves", not_again, ASK, **two)
+    group = [("board-2-same", "ISSUER_MISMATCH")]
+    made.add("the issuers as another group", [*not_again, *group], ASK, **two)
+    made.add("one beside two issuers", [("supervisor-3", "")], [], **two)
+    made.add("a group of whom one is no issuer", [("board-2-others", "")], [], **two)
+    some: Json = {"issuer": {"threshold": 1, "members": [*MEMBERS[:2]]}}
+    made.add("one beside one of two issuers", [("supervisor-3", "")], ASK, **some)
+    made.add("a group beside one of two issuers", [("board-2-others", "")], [], **some)
+    made.add("an issuer who may deny", [("supervisor-1 denies", "")], ["APPROVAL_DENIED"], **two)
+    nobody: Json = {"issuer": {"threshold": 2, "members": []}}
+    unknown = [("supervisor-3", "ISSUER_MISMATCH"), ("board-2", "ISSUER_MISMATCH")]
+    made.add("issuers whom nobody knows", unknown, ASK, **nobody)

@@ -27,6 +27,7 @@ ACTIONS = {
 REQUESTS = {
     **{goal: request(goal, tier) for tier, goal in enumerate(GOALS[1:], 2)},
     "isolation-room, somebody near": request("isolation-room", 3, "somebody near"),
+    "plant-room, denied": request("plant-room", 3, denied=True),
 }
 #: Answers with why each does not count; empty when it does.
 Given = list[tuple[str, str]]

@@ -71,9 +71,10 @@ _PARTS: dict[str, tuple[str, ...]] = {
     PARAMS: ("params",),
     REGIONS: ("source", "destination", "route"),
 }
+_SOMEBODY = ("approvers", "by", "caller", "issuer", "members", "scheduler", "signer")
 #: Open fields with words that people chose, and what they tell of; sealed under their names.
 SPOKEN: dict[str, Classes] = {
-    **dict.fromkeys(("approvers", "by", "members", "scheduler", "signer", "caller"), (_WHO,)),
+    **dict.fromkeys(_SOMEBODY, (_WHO,)),
     "grant": _TOLD,
 }
 #: A stream's running digest is guessed like any digest of few numbers.

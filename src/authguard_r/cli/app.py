@@ -28,7 +28,7 @@ COMMANDS: Final = {
     "gate": "gate:gate_command",
     "status": "attend:status_command",
     "watch": "watch:watch_command",
-    "stop": "attend:stop_command",
+    "stop": "stop:stop_command",
     "resume": "attend:resume_command",
     "recover": "recover:recover_command",
     "explain": "attend:explain_command",

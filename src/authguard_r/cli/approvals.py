@@ -196,10 +196,10 @@ def _answer(
     said = f"request {counter}: {told.get('approver')} {_SAID[verdict]}"
     behind = None if left is None else left.behind
     in_vain = verdict is Verdict.APPROVE and left is not None and left.denied
-    if worth:
+    if in_vain:
+        result = [f"{said}, but somebody denied: the request is closed"]
+    elif worth:
         result = [f"{said}, but it does not count: {worth}"]
-    elif in_vain:
-        result = [f"{said}, but it is denied: the next proposal closes it"]
     elif left is not None and verdict is Verdict.APPROVE:
         result = [said, f"{behind} of {left.required} people are behind it"]
     else:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard status`, `stop`, `resume`, `explain`: a person at a gate that runs."""
+"""`authguard status`, `resume`, `explain`: a person at a gate that runs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,23 +15,18 @@ from authguard_r.cli.gateway import (
     ProofOption,
     Reading,
     RoleOption,
-    connect_as,
     connected,
-    lane_in,
 )
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.mission import TokenArgument
-from authguard_r.cli.offline import CounterOption
 from authguard_r.cli.orders import CertOption, KeyOption, TemplateOption, signed_order
 from authguard_r.cli.out import emit
-from authguard_r.cli.run import stop_command as stop_store
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.commands import Verb
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.store.sqlite import read_rows
-from authguard_r.wire.messages import ClientRole
 
 #: How much of a digest a line shows; `--json` has all of it.
 _SHORT = 12
@@ -116,48 +110,6 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     lines += _anchor_lines(status.get("anchor"))
     lines.append(f"stops: {status.get('stops')}; log: {log.get('size')} records")
     return lines
-
-
-class Stopping(StrEnum):
-    """What may stop at a lane, in the order in which a stop without `--role` tries them."""
-
-    OPERATOR = "operator"
-    AUDITOR = "auditor"
-    PLANNER = "planner"
-    ESTIMATOR = "estimator"
-
-
-def stop_command(
-    gate: GateOption = None,
-    role: Annotated[
-        Stopping | None,
-        typer.Option("--role", help="What to be at the lane (default: the first that you may be)."),
-    ] = None,
-    why: Annotated[str, typer.Option("--why", help="For the log; decides nothing.")] = "",
-    store: Annotated[
-        Path | None, typer.Option("--store", help="Stop a store's mission; no gate is reached.")
-    ] = None,
-    trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
-    site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="Which gate, for --store.")] = None,
-    counter: CounterOption = None,
-    as_json: JsonFlag = False,
-) -> int:
-    """Brake and hold, through the stop lane; with --store, only record it there.
-
-    An operator's stop suspends the active mission until a signed `resume`; without --role it is
-    the first of operator, auditor, planner and estimator that this user may be. Exit 5 says that
-    nobody confirmed that the robot stands.
-    """
-    if store is not None:
-        if gate is not None or trust is None or site is None:
-            raise typer.BadParameter("takes --trust and --site, not --gate", param_hint="--store")
-        return stop_store(trust, site, store, robot, counter, as_json)
-    roles = [ClientRole(name) for name in (Stopping if role is None else (role,))]
-    with connect_as(lane_in(gate), roles) as client:
-        said = {**client.stop(why), "role": str(client.welcome.role)}
-    emit(said, _stop_lines(said), as_json=as_json)
-    return 0 if said.get("stopped") is True else 5
 
 
 def resume_command(
@@ -285,27 +237,6 @@ def _witness_lines(told: Any) -> list[str]:
         f"witnesses: {asked} ({', '.join(names)})",
         f"  not witnessed: {told.get('unwitnessed')} records ({last})",
     ]
-
-
-def _stop_lines(said: dict[str, Any]) -> list[str]:
-    if said.get("stopped") is True:
-        line = f"stopped: the robot stands after {said.get('after_ms')} ms"
-    elif said.get("controller") is True:
-        line = "NOT CONFIRMED: the controller was told to stop and did not say that it stands"
-    else:
-        line = "NOT CONFIRMED: no controller is connected to the stop lane"
-    return [f"{line}; {_follows(str(said.get('role')))}"]
-
-
-def _follows(role: str) -> str:
-    """Return what a stop in a role means for the mission."""
-    if role != Stopping.OPERATOR:
-        article = "an" if role[:1] in "aeiou" else "a"
-        return f"recorded as {article} {role}'s stop"
-    return (
-        "a mission that was active is suspended until `authguard resume`; "
-        "one that was closing is over"
-    )
 
 
 def _alert(alert: dict[str, Any]) -> str:

@@ -304,7 +304,9 @@ def _ability_lines(capability: Capability) -> Iterator[str]:
     goal = f" to {capability.destination}" if capability.destination else ""
     params = "".join(f", {name} {value}" for name, value in sorted(capability.params.items()))
     yield f"  {capability.id}: {capability.type} with {capability.tool}{goal}{params}"
-    yield f"    called by {', '.join(capability.callers)}, {capability.per_hour} times an hour"
+    each = "each " if len(capability.callers) > 1 else ""
+    often = f"{each}{capability.per_hour} times an hour"
+    yield f"    called by {', '.join(capability.callers)}, {often}"
     for guard in capability.guards:
         yield (
             f"    while {guard.variable} {guard.comparison} {guard.value}, "

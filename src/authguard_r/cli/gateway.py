@@ -142,26 +142,6 @@ def socket_in(run: Path | None, name: str) -> Path:
     return place.with_name(name) if place.name in {GATE_SOCKET, STOP_SOCKET} else place
 
 
-def lane_in(run: Path | None) -> Path:
-    """Return the stop lane's socket of a run folder.
-
-    Args:
-        run: as for `socket_in`.
-
-    Raises:
-        EnvironmentFault: as `socket_in`; or only a gate's socket is there.
-    """
-    path = socket_in(run, STOP_SOCKET)
-    if path.name != STOP_SOCKET or path.exists() or not path.with_name(GATE_SOCKET).is_socket():
-        return path
-    raise EnvironmentFault(
-        "this gate has no stop lane (`--simulate`), so nobody is told to stop: "
-        "`authguard mission suspend` holds its mission, and ending the gate stops its robot",
-        reason=Reason.STORE_UNAVAILABLE,
-        where=str(path),
-    )
-
-
 def only_run(folder: Path, name: str) -> Path:
     """Return the only run folder below a folder that has this socket.
 

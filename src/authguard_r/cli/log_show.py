@@ -281,6 +281,8 @@ def _order(said: dict[str, Any], values: dict[str, Any]) -> str:
     parts += [f"{name} {said[name]}" for name in ("row", "version") if name in said]
     if "verdict" in said:
         parts.append(f"{said['verdict']} request {said.get('counter')}")
+    parts += [f"without effect: {said['why_not']}"] if "why_not" in said else []
+    parts += ["closes it"] if said.get("closes") else []
     old = said.get("supersedes", "-")
     parts += [f"supersedes {str(old)[:_SHORT]}..."] if old != "-" else []
     parts += ["no confirmation"] if values.get("confirmation") == "none" else []

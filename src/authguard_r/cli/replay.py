@@ -27,7 +27,8 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.opening import Opening, ReaderOption, opening_of
-from authguard_r.cli.replay_sources import Forged, Inputs, Lacking, Sources
+from authguard_r.cli.replay_sources import FAR_MS, Forged, Inputs, Lacking, Sources
+from authguard_r.cli.replay_words import plain
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.reasons import Reason
@@ -168,17 +169,18 @@ class Replay:
 
 def decided_again(found: Inputs) -> dict[str, Any]:
     """Return the oracle's decision, in the words of a record."""
-    state, standing = found.values["state"], found.values["standing"]
+    state, standing, issuer = found.values["state"], found.values["standing"], found.issuer
     again = oracle.decide(
         found.mission,
         digest=found.digest,
-        usable_until_ms=found.usable_until_ms,
+        usable_until_ms=FAR_MS if issuer is None else issuer.usable_until_ms,
         action=found.values["action"],
         state=state[0] if state else None,
         facts=found.facts,
         now=found.values["now"],
         standing=standing[0] if standing else None,
         approvals=found.approvals,
+        issuer=None if issuer is None else plain(issuer),
     )
     return {
         "verdict": again["verdict"],

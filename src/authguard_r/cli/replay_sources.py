@@ -38,7 +38,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import Snapshot
-from authguard_r.core.token import VerifiedMission, read_token, verify_mission
+from authguard_r.core.token import Principal, VerifiedMission, read_token, verify_mission
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust
@@ -76,7 +76,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
     Args:
         mission: as it was signed.
         digest: the mission's.
-        usable_until_ms: when its issuer's certificates or their lists ended.
+        issuer: who signed it, and until when that held; None: no trust folder says.
         facts: site, robot and the organization's policies.
         values: what the record sealed: action, state, now, standing.
         approvals: the answers, opened.
@@ -86,7 +86,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
 
     mission: dict[str, Any]
     digest: str
-    usable_until_ms: int
+    issuer: Principal | None
     facts: dict[str, Any]
     values: dict[str, Any]
     approvals: list[dict[str, Any]]
@@ -100,7 +100,7 @@ class _Kept(Struct, frozen=True, kw_only=True):
     values: dict[str, Any]
     mission: Mission
     plain: dict[str, Any]
-    until_ms: int
+    issuer: Principal | None
     lists: int
 
 
@@ -198,7 +198,7 @@ class Sources:
             return Inputs(
                 mission=kept.plain,
                 digest=digest,
-                usable_until_ms=self._until(digest, kept, beside.now),
+                issuer=self._issuer(digest, kept, beside.now),
                 facts=self._plain_facts,
                 values=values,
                 approvals=self._answers(beside),
@@ -313,7 +313,7 @@ class Sources:
             values=values,
             mission=mission,
             plain=plain(mission),
-            until_ms=FAR_MS if verified is None else verified.issuer.usable_until_ms,
+            issuer=None if verified is None else verified.issuer,
             lists=self._lists,
         )
         self._missions[digest] = kept
@@ -339,14 +339,14 @@ class Sources:
         template = open_template(signed, verifier=self._trust, now=now, roles=ISSUER_ROLES)
         return instantiate(token, template, verifier=self._trust, now=now).mission
 
-    def _until(self, digest: str, kept: _Kept, now: Now) -> int:
-        """Return when a mission's certificates end; asked again once lists have changed."""
+    def _issuer(self, digest: str, kept: _Kept, now: Now) -> Principal | None:
+        """Return who issued a mission, and until when that holds; again once lists have changed."""
         if kept.lists != self._lists:
             verified = self._verified(kept.values, now)
-            until = FAR_MS if verified is None else verified.issuer.usable_until_ms
-            kept = replace(kept, until_ms=until, lists=self._lists)
+            issuer = None if verified is None else verified.issuer
+            kept = replace(kept, issuer=issuer, lists=self._lists)
             self._missions[digest] = kept
-        return kept.until_ms
+        return kept.issuer
 
     def _answers(self, beside: _Beside) -> list[dict[str, Any]]:
         if self._trust is None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a log's own records say was released and how it ended, held against each standing in it.
+"""What a log's own records say was released, ended or denied, held against each standing in it.
 
-A decision seals the standing that it was made on. Here the same is counted from the decisions and
-outcomes before it, so that a release or an outcome that was taken out, put in or changed is found.
+A decision seals the standing that it was made on. Here the same is counted from the decisions,
+outcomes and denials before it, so that one that was taken out, put in or changed is found.
 Spec page: docs/spec/audit-record.md#replay
 """
 
@@ -36,6 +36,8 @@ class _Counted(Struct):
     #: As the last record about it says; None: none has said it.
     status: str | None = None
     version: object = None
+    #: Numbers of the approval requests that a denial closed.
+    denied: set[str] = field(default_factory=set)
 
 
 class Standings:
@@ -56,6 +58,8 @@ class Standings:
             return "" if kind != "outcome" else "an outcome of a mission that was never active"
         if kind == "management" and isinstance(record.open.get("status"), str):
             counted.status = record.open["status"]
+        if kind == "management" and said == "answer" and record.open.get("closes") is True:
+            counted.denied.add(str(record.open.get("counter")))
         if kind == "decision" and record.open.get("ticket") != NONE:
             grant, ticket = GrantId(str(record.open.get("grant"))), str(record.open.get("ticket"))
             is_twice = ticket in counted.open
@@ -122,6 +126,15 @@ def _adopt(counted: _Counted, standing: Standing) -> None:
     counted.open = {release.ticket: release.grant for release in standing.open}
     counted.starts = Counter({grant: use.starts for grant, use in standing.uses.items()})
     counted.successes = Counter({grant: use.successes for grant, use in standing.uses.items()})
+    counted.denied = {str(r.counter) for r in standing.requests.values() if r.denied}
+
+
+def _undenied(counted: _Counted, standing: Standing) -> Iterator[str]:
+    for request in standing.requests.values():
+        was_denied = str(request.counter) in counted.denied
+        if request.denied != was_denied:
+            told = "it was denied" if was_denied else "nobody denied it"
+            yield f"request {request.counter}: by the records before it {told}"
 
 
 def _differences(counted: _Counted, standing: Standing) -> Iterator[str]:
@@ -131,6 +144,7 @@ def _differences(counted: _Counted, standing: Standing) -> Iterator[str]:
     was, now = counted.status, standing.status
     if was != now and (now, was) in {(Status.SUSPENDED, Status.ACTIVE), *_GOES_ON}:
         yield f"the mission is {now}, and by the records before it {was}"
+    yield from _undenied(counted, standing)
     opened = {release.ticket for release in standing.open}
     for ticket in sorted(opened - set(counted.open))[:_NAMED]:
         yield f"the standing has `{ticket}` open, and no record before it released that"

@@ -300,7 +300,7 @@ class GateClient:
         return self._events(sent.number, idle_ms)
 
     def stop(self, why: str = "") -> dict[str, Any]:
-        """Brake and hold, at once: for a client of the stop lane's socket.
+        """Brake and hold, at once, by this connection alone; `client.stop_robot` takes every way.
 
         Args:
             why: for the log; decides nothing.

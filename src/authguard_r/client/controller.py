@@ -196,7 +196,7 @@ class ControllerDesk:
         self._is_stopping = False
         self._halts: dict[tuple[Channel, int], None] = {}  # in order; a repeat is the same one
         self._late: list[_Late] = []
-        self._acts: dict[Kind, Callable[[Channel, Frame, int], None]] = {
+        self._acts: dict[Kind, Callable[[Channel, Frame], None]] = {
             Kind.DISPATCH: self._dispatch,
             Kind.RENEW: self._renew,
             Kind.HALT: self._halt,
@@ -258,7 +258,8 @@ class ControllerDesk:
         if channel in self._proven and (channel is Channel.GATE or frame.kind is Kind.HALT):
             act = self._acts.get(frame.kind)
             if act is not None:
-                act(channel, frame, now_ms)
+                self._advance(now_ms)  # the silence before a message is judged before the message
+                act(channel, frame)
         return self._take()
 
     def tick(self, now_ms: int) -> tuple[Sent, ...]:
@@ -269,9 +270,8 @@ class ControllerDesk:
 
     # messages
 
-    def _dispatch(self, channel: Channel, frame: Frame, now_ms: int) -> None:
+    def _dispatch(self, channel: Channel, frame: Frame) -> None:
         order = read_body(frame.body, Dispatch)
-        self._advance(now_ms)
         if order.ticket in self._ended:
             self._say(channel, Kind.ENDED, self._ended[order.ticket], frame.id)  # never twice
             return
@@ -301,31 +301,29 @@ class ControllerDesk:
         self._runs[order.ticket] = _Run(order=order, flight=flight, begun_ms=now, renewed_ms=now)
         return ""
 
-    def _renew(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
+    def _renew(self, _channel: Channel, frame: Frame) -> None:
         ticket = read_body(frame.body, Renew).ticket
         if ticket in self._runs:
-            self._runs[ticket] = replace(self._runs[ticket], renewed_ms=now_ms)
+            self._runs[ticket] = replace(self._runs[ticket], renewed_ms=self._now_ms)
 
-    def _forward(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
+    def _forward(self, _channel: Channel, frame: Frame) -> None:
         sample = read_body(frame.body, Forward)
         if not sample.params.keys() <= self.body.sampled:
             raise MalformedError("expected a velocity", where="forward.params")
         run = self._runs.get(sample.ticket)
-        if run is not None and self.body.streams(run.order.action):
+        if run is not None and not self._is_stopping and self.body.streams(run.order.action):
             self.body.steer(sample.ticket, sample.params)
-            self._runs[sample.ticket] = replace(run, sampled_ms=now_ms)
+            self._runs[sample.ticket] = replace(run, sampled_ms=self._now_ms)
 
-    def _close(self, _channel: Channel, frame: Frame, now_ms: int) -> None:
+    def _close(self, _channel: Channel, frame: Frame) -> None:
         ticket = read_body(frame.body, Close).ticket
-        self._advance(now_ms)
         run = self._runs.get(ticket)
         if run is not None and self.body.streams(run.order.action):
             self.body.close(ticket)
             self._settle()
 
-    def _halt(self, channel: Channel, frame: Frame, now_ms: int) -> None:
+    def _halt(self, channel: Channel, frame: Frame) -> None:
         read_body(frame.body, Halt)
-        self._advance(now_ms)
         if self.body.obeys:
             self._halts[channel, frame.id] = None
             self._stop(Reason.STOPPED)

@@ -204,7 +204,7 @@ class Session:
     def _sent(self, kind: Kind, message: object, number: int | None = None) -> Sent:
         self.require_open()
         role = self._greeting.role
-        if kind is not Kind.STOP and kind not in MAY[role]:
+        if kind not in MAY[role]:
             raise AuthenticityError(
                 f"a client in the role `{role}` may not ask `{kind.name.lower()}`",
                 reason=Reason.ROLE_DENIED,

@@ -126,7 +126,7 @@ def _left(question: Question) -> str:
 def _head(question: Question) -> str:
     """Return how far a request is; a denial outweighs however many are behind it."""
     if question.denied:
-        return f"DENIED: the next proposal closes it; {_left(question)}"
+        return "DENIED: closed; the next proposal is told so"
     return f"{_people(question)} people, {_left(question)}{_worth(question)}"
 
 

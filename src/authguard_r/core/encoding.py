@@ -124,18 +124,17 @@ def unb64(text: str, *, where: str = "") -> bytes:
     Raises:
         MalformedError: not base64url, padded, or with stray bits at the end.
     """
+    fault = "expected base64url without padding"
     # what only base64 has becomes a space, which the reader refuses like anything else
     spelled = text.replace("+", " ").replace("/", " ").replace("=", " ")
     spelled = spelled.replace("-", "+").replace("_", "/") + "=" * (-len(text) % 4)
     try:
         data = msgspec.convert(spelled, bytes)
     except (msgspec.ValidationError, UnicodeEncodeError) as error:
-        raise MalformedError("expected base64url without padding", where=where) from error
+        raise MalformedError(fault, where=where) from error
     odd = len(data) % 3  # only the bytes of an unfinished group of three have a second spelling
     if odd and b64(data[-odd:]) != text[-odd - 1 :]:
-        raise MalformedError(
-            "expected base64url without padding", where=where, reason=Reason.NOT_CANONICAL
-        )
+        raise MalformedError(fault, where=where, reason=Reason.NOT_CANONICAL)
     return data
 
 

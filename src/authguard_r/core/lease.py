@@ -116,7 +116,7 @@ def still(
     guards = [guard_finding(guard, state, rid, now) for guard in lease.guards]
     found += [finding for finding in guards if finding is not None]
     for bound in lease.bounds:
-        found += bound_findings(lease, bound, state, rid=rid, now=now)
+        found += bound_findings(bound, state, rid=rid, now=now, max_age_ms=lease.max_age_ms)
     return in_paper_order(tuple(found)) if found else ()
 
 
@@ -133,12 +133,12 @@ def time_findings(lease: Lease, now: Now) -> Findings:
 
 
 def bound_findings(
-    lease: Lease, bound: Bound, state: AttestedState | None, *, rid: RobotId, now: Now
+    bound: Bound, state: AttestedState | None, *, rid: RobotId, now: Now, max_age_ms: int
 ) -> Findings:
     """Return why an attested variable is not known to keep to its bound."""
     field = f"state.{bound.variable}"
     reading = state.snapshot.readings.get(bound.variable) if state is not None else None
-    unfit = unfit_finding(field, reading, state, rid=rid, now=now, max_age_ms=lease.max_age_ms)
+    unfit = unfit_finding(field, reading, state, rid=rid, now=now, max_age_ms=max_age_ms)
     if unfit is not None:
         return (unfit,)
     value = reading.value if reading is not None else None

@@ -65,7 +65,9 @@ class OpenRelease(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     reserved: Spend
 
 
-class ApprovalRequest(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ApprovalRequest(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
     """An open question to approvers; one for each grant.
 
     Args:
@@ -74,6 +76,7 @@ class ApprovalRequest(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         situation: digest of the guards' truth and the risk tier when it was asked.
         required: principals needed in all, the issuer included.
         expires_ms: trusted time after which an answer is too late.
+        denied: somebody who may answer denied: closed for answers, whatever becomes of the denier.
     """
 
     counter: int
@@ -81,6 +84,7 @@ class ApprovalRequest(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     situation: Digest
     required: int
     expires_ms: int
+    denied: bool = False
 
 
 class Standing(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -239,6 +243,12 @@ def ask(standing: Standing, grant: GrantId, request: ApprovalRequest) -> Standin
         counter=request.counter,
         prompts=standing.prompts + 1,
     )
+
+
+def deny_request(standing: Standing, grant: GrantId) -> Standing:
+    """Return the standing with the grant's open request denied for ever."""
+    denied = _with(standing.requests[grant], denied=True)
+    return _with(standing, requests={**standing.requests, grant: denied})
 
 
 def close_request(standing: Standing, grant: GrantId) -> Standing:

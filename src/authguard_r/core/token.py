@@ -151,11 +151,8 @@ def open_token(
     """
     token = read_token(data)
     if token.kind is not tag:
-        raise MalformedError(
-            f"expected a token of kind `{tag}`, got `{token.kind}`",
-            where="token.kind",
-            reason=Reason.WRONG_KIND,
-        )
+        text = f"expected a token of kind `{tag}`, got `{token.kind}`"
+        raise MalformedError(text, where="token.kind", reason=Reason.WRONG_KIND)
     payload = unb64(token.payload, where="token.payload")
     hashed = digest(tag, payload)
     endorsements = tuple(
@@ -165,11 +162,8 @@ def open_token(
     # (1) the certificates, (2) the signatures
     signer = verifier.verify(unb64(hashed), endorsements, now)
     if signer.role not in roles:
-        raise AuthenticityError(
-            f"expected a signer in a role of {sorted(roles)}, got `{signer.role}`",
-            reason=Reason.ROLE_DENIED,
-            where="token.endorsements",
-        )
+        text = f"expected a signer in a role of {sorted(roles)}, got `{signer.role}`"
+        raise AuthenticityError(text, reason=Reason.ROLE_DENIED, where="token.endorsements")
     return decode(payload, kind, where=str(tag).split("/")[1]), hashed, signer
 
 
@@ -192,11 +186,8 @@ def verify_mission(
         data, Mission, tag=Tag.MISSION, roles=roles, verifier=verifier, now=now
     )
     if mission.issuer != signer.id:
-        raise AuthenticityError(
-            f"expected the signature of `{mission.issuer}`, got `{signer.id}`",
-            reason=Reason.ISSUER_MISMATCH,
-            where="mission.issuer",
-        )
+        text = f"expected the signature of `{mission.issuer}`, got `{signer.id}`"
+        raise AuthenticityError(text, reason=Reason.ISSUER_MISMATCH, where="mission.issuer")
     require_scope(mission, signer)
     # (3) the schema
     require_schema(mission)
@@ -210,11 +201,9 @@ def require_scope(mission: Mission, signer: Principal) -> None:
         AuthenticityError: `SIGNER_OUT_OF_SCOPE`.
     """
     if not signer.scope.covers(mission.rid, mission.regions):
-        raise AuthenticityError(
-            "expected a robot and regions that the signer's certificate names",
-            reason=Reason.SIGNER_OUT_OF_SCOPE,
-            where="mission.regions" if signer.scope.covers(mission.rid) else "mission.rid",
-        )
+        where = "mission.regions" if signer.scope.covers(mission.rid) else "mission.rid"
+        text = "expected a robot and regions that the signer's certificate names"
+        raise AuthenticityError(text, reason=Reason.SIGNER_OUT_OF_SCOPE, where=where)
 
 
 def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> VerifiedMission:

@@ -21,7 +21,7 @@ from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState
 from authguard_r.emergency.opened import OpenedPolicy
-from authguard_r.emergency.policy import HOUR_MS, Caller, Capability, Missing
+from authguard_r.emergency.policy import HOUR_MS, MOST_PER_HOUR, Caller, Capability, Missing
 
 #: Stands in a lease and a record where a mission's id would.
 NO_MISSION = MissionId("emergency")
@@ -40,17 +40,21 @@ class Scene(Struct, frozen=True, kw_only=True):
         state: what an estimator attested, None when nothing was.
         facts: the signed site and the gate's identity.
         now: trusted time; while the clock is behind, the latest that it can have been.
-        uses: when the capability was used before, on the monotonic clock.
+        uses: when this caller used the capability before, on the monotonic clock.
+        tries: when a use of this caller's ended `not_started` and was given back.
         lacks: what is missing.
         stopped: an operator's stop stands.
+        stands: the robot stands, so the monitored values have to be within their bounds already.
     """
 
     state: AttestedState | None
     facts: SiteFacts
     now: Now
     uses: tuple[int, ...] = ()
+    tries: tuple[int, ...] = ()
     lacks: frozenset[Missing] = frozenset()
     stopped: bool = False
+    stands: bool = False
 
 
 class EmergencyDecision(Struct, frozen=True, kw_only=True):
@@ -95,8 +99,10 @@ def decide_emergency(
         found.append(Finding("caller", Reason.ROLE_DENIED, wanted, caller))
     found += _able(capability, scene)
     found += _missing(capability, scene)
-    found += _uses(capability, scene)
+    found += _uses(capability, caller, scene)
     found += state_findings(capability, scene.state, facts=scene.facts, now=scene.now)
+    if scene.stands:
+        found += _monitored(capability, scene.state, facts=scene.facts, now=scene.now)
     return EmergencyDecision(capability=capability, findings=in_paper_order(tuple(found)))
 
 
@@ -141,8 +147,6 @@ def permit_emergency(
     opened: OpenedPolicy, capability: Capability, *, facts: SiteFacts, now: Now, ticket: Digest
 ) -> Lease:
     """Return the lease of a capability that was accepted; no mission stands behind it."""
-    kinds, params = facts.vocabulary[capability.type].params, capability.params
-    monitored = [(kinds[name].monitored_by, high) for name, high in params.items()]
     return Lease(
         mid=NO_MISSION,
         version=opened.policy.version,
@@ -152,7 +156,7 @@ def permit_emergency(
         until_utc_ms=opened.expiry_ms,
         until_mono_ms=now.mono_ms + capability.max_ms,
         regions=capability.regions,
-        bounds=tuple([Bound(which, high) for which, high in monitored if which is not None]),
+        bounds=_bounds(capability, facts),
         guards=capability.guards,
         max_age_ms=capability.place_max_age_ms,
     )
@@ -170,9 +174,27 @@ def still_emergency(
     """Return why the robot may not go on, empty while it may (as `core.lease.still`)."""
     found = [*state_findings(capability, state, facts=facts, now=now), *time_findings(lease, now)]
     found += _missing(capability, Scene(state=state, facts=facts, now=now, lacks=lacks))
-    for bound in lease.bounds:
-        found += bound_findings(lease, bound, state, rid=facts.robot.rid, now=now)
+    found += _monitored(capability, state, facts=facts, now=now)
     return in_paper_order(tuple(found))
+
+
+def _bounds(capability: Capability, facts: SiteFacts) -> tuple[Bound, ...]:
+    kind = facts.vocabulary.get(capability.type)
+    kinds = {} if kind is None else kind.params
+    monitored = {name: kinds[name].monitored_by for name in capability.params if name in kinds}
+    return tuple([Bound(v, capability.params[n]) for n, v in monitored.items() if v is not None])
+
+
+def _monitored(
+    capability: Capability, state: AttestedState | None, *, facts: SiteFacts, now: Now
+) -> Findings:
+    """The monitored values keep to what the capability says."""
+    rid, most_ms = facts.robot.rid, capability.place_max_age_ms
+    found = [
+        bound_findings(bound, state, rid=rid, now=now, max_age_ms=most_ms)
+        for bound in _bounds(capability, facts)
+    ]
+    return tuple(finding for findings in found for finding in findings)
 
 
 def _binding(opened: OpenedPolicy, facts: SiteFacts) -> Findings:
@@ -220,10 +242,16 @@ def _missing(capability: Capability, scene: Scene) -> Findings:
     return tuple(found)
 
 
-def _uses(capability: Capability, scene: Scene) -> Findings:
-    """It was not used too often; a use that a clock of before calls later counts, too."""
-    recent = len([at for at in scene.uses if at > scene.now.mono_ms - HOUR_MS])
-    if recent < capability.per_hour:
-        return ()
-    rate = f"under {capability.per_hour} in an hour"
-    return (Finding("capability.per_hour", Reason.RATE_EXCEEDED, rate, str(recent)),)
+def _uses(capability: Capability, caller: Caller, scene: Scene) -> Findings:
+    """This caller did not use it too often, nor begin it in vain too often.
+
+    A use that a clock of before calls later counts, too.
+    """
+    since_ms = scene.now.mono_ms - HOUR_MS
+    uses = len([at for at in scene.uses if at > since_ms])
+    tries = uses + len([at for at in scene.tries if at > since_ms])
+    for what, most, got in (("uses", capability.per_hour, uses), ("tries", MOST_PER_HOUR, tries)):
+        if got >= most:
+            rate = f"under {most} {what} of caller `{caller}` in an hour"
+            return (Finding("capability.per_hour", Reason.RATE_EXCEEDED, rate, str(got)),)
+    return ()

@@ -3,14 +3,19 @@
 
 The file has its whole size from its first day, so a full disk does not matter to it. A record is
 one slot, written whole and synced before the call returns; a slot that was torn is no record. A
-slot is used again only once the log has what was in it. Spec page: docs/spec/emergency.md#journal
+slot is used again only once the log has what was in it.
+
+The file may lie on a disk that others can write. So each slot is authenticated under a key that
+only this gate has for this store, and what is not authentic is counted and never believed.
+Spec page: docs/spec/emergency.md#journal
 """
 
 from __future__ import annotations
 
+import hmac
 import os
 import stat
-from hashlib import sha256
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,9 +32,12 @@ SLOT = 4_096
 SLOTS = 64
 #: Two slots in front hold the count of what did not fit, by turns: one of them is always whole.
 COUNTERS = 2
-_MAGIC = b"authguard-r/emergency-journal/1\0"
-_SUM = 32
+#: What the key of a journal is made for, and what each slot is authenticated as.
+MAGIC = b"authguard-r/emergency-journal/2\0"
+_SIZE = (COUNTERS + SLOTS) * SLOT
+_MAC = 32
 _LENGTH = 4
+_ADVICE = "move it away, or name another file with --emergency-journal"
 T = TypeVar("T")
 _OPEN = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
 
@@ -74,22 +82,32 @@ class _Lost(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     lost: Count
 
 
+class _Claim(Struct, frozen=True):
+    """What a slot that is not authentic says of its number, to tell what the log has already."""
+
+    n: int | None = None
+    lost: int | None = None
+
+
 class EmergencyJournal:
     """The file, held open by one gate.
 
     Args:
         path: made when it is not there; its owner alone may read it.
-        robot: whose emergencies it keeps; another's file is refused.
+        key: secret of this gate for this store; what another key wrote is not authentic.
 
     Raises:
-        EnvironmentFault: it cannot be made whole, or is somebody else's.
+        EnvironmentFault: it cannot be made whole, or is not a file of the gate's own user.
     """
 
-    def __init__(self, path: Path, *, robot: RobotId) -> None:
+    def __init__(self, path: Path, *, key: bytes) -> None:
         self.path = path
-        self._robot = robot
+        self._key = key
         self._file = -1
         self._known: dict[int, Journaled] = {}
+        self._strange: dict[int, int | None] = {}
+        #: The file's size when it was opened, when that is none that this class leaves behind.
+        self.odd_size: int | None = None
         self.lost = 0
         self._last = 0
         try:
@@ -99,7 +117,7 @@ class EmergencyJournal:
             self._read()
         except OSError as error:
             self.close()
-            raise self._fault(error.strerror or str(error)) from error
+            raise self._fault(f"{error.strerror or error}; {_ADVICE}") from error
         except BaseException:
             self.close()
             raise
@@ -113,9 +131,26 @@ class EmergencyJournal:
         """Return the records after the one that the log has, in order."""
         return tuple(self._known[n] for n in sorted(self._known) if n > heard)
 
-    def after(self, heard: int) -> None:
-        """Number on after a record that the log has, whatever became of the file that had it."""
+    def after(self, heard: int, lost: int) -> None:
+        """Number and count on after what the log has, whatever became of the file that had it."""
         self._last = max(self._last, heard)
+        self.lost = max(self.lost, lost)
+
+    def strange(self, heard: int) -> int:
+        """Return how many slots hold something that is not authentic.
+
+        A slot whose number the log has already is not counted: a former key or the format before
+        wrote it, or it changes nothing. Nor is half a slot in the place that is written next: a
+        power cut leaves that.
+
+        Args:
+            heard: the last record that the log has; `after` was called with it.
+        """
+        torn = {COUNTERS + self.next_n % SLOTS, (self.lost + 1) % COUNTERS}
+        return sum(
+            place not in torn if n is None else n > (self.lost if place < COUNTERS else heard)
+            for place, n in self._strange.items()
+        )
 
     def append(self, record: Journaled, *, heard: int) -> bool:
         """Keep a record on disk; False when there is no room, and then it was counted there.
@@ -152,15 +187,15 @@ class EmergencyJournal:
         """Refuse what another user could have written."""
         info = os.fstat(self._file)
         if not stat.S_ISREG(info.st_mode) or info.st_uid != os.geteuid():
-            raise self._fault("expected a file of the gate's own user")
+            raise self._fault(f"expected a regular file of the gate's own user; {_ADVICE}")
         os.fchmod(self._file, 0o600)
 
     def _make_whole(self) -> None:
-        """Take every block that the file will ever need, now."""
-        size = (COUNTERS + SLOTS) * SLOT
-        if os.fstat(self._file).st_size > size:
-            raise self._fault(f"expected at most {size} bytes")
-        os.posix_fallocate(self._file, 0, size)
+        """Take every block that the file will ever need, now; what is beyond is cut off."""
+        size = os.fstat(self._file).st_size
+        self.odd_size = None if size in {0, _SIZE} else size
+        os.ftruncate(self._file, min(size, _SIZE))
+        os.posix_fallocate(self._file, 0, _SIZE)
         os.fsync(self._file)
         folder = os.open(self.path.absolute().parent, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -169,22 +204,21 @@ class EmergencyJournal:
             os.close(folder)
 
     def _read(self) -> None:
-        """Take in every whole slot; what is torn was never answered for."""
-        slots = [os.pread(self._file, SLOT, number * SLOT) for number in range(COUNTERS + SLOTS)]
-        counts = [_opened(slot, number, _Lost) for number, slot in enumerate(slots[:COUNTERS])]
-        self.lost = max((count.lost for count in counts if count is not None), default=0)
-        for place, slot in enumerate(slots[COUNTERS:]):
-            record = _opened(slot, COUNTERS + place, Journaled)
-            if record is None:
-                continue
-            if record.robot != self._robot:
-                raise self._fault(f"expected the journal of `{self._robot}`")
-            self._known[record.n] = record
+        """Take in every authentic slot; what is torn was never answered for."""
+        for place in range(COUNTERS + SLOTS):
+            slot = os.pread(self._file, SLOT, place * SLOT)
+            value = self._opened(slot, place, _Lost if place < COUNTERS else Journaled)
+            if isinstance(value, Journaled):
+                self._known[value.n] = value
+            elif isinstance(value, _Lost):
+                self.lost = max(self.lost, value.lost)
+            elif any(slot):
+                self._strange[place] = _number_in(slot)
         self._last = max(self._known, default=0)
 
     def _write(self, number: int, value: Struct) -> None:
         try:
-            data = _sealed(value, number)
+            data = self._sealed(value, number)
             written = os.pwrite(self._file, data, number * SLOT)
             if written != len(data):  # pragma: no cover - the blocks are its own
                 raise self._fault("the disk took half of a record")
@@ -195,27 +229,34 @@ class EmergencyJournal:
     def _fault(self, why: str) -> EnvironmentFault:
         return EnvironmentFault(why, reason=Reason.STORE_UNAVAILABLE, where=str(self.path))
 
+    def _sealed(self, value: Struct, place: int) -> bytes:
+        """Return a slot: MAC of place and content, length, content, zeros to the end."""
+        data = msgspec.json.encode(value)
+        if _MAC + _LENGTH + len(data) > SLOT:
+            raise RuntimeError(f"a record of {len(data)} bytes does not fit a slot")
+        rest = (len(data).to_bytes(_LENGTH) + data).ljust(SLOT - _MAC, b"\0")
+        return self._mac(rest, place) + rest
 
-def _sealed(value: Struct, number: int) -> bytes:
-    """Return a slot: digest of place and content, length, content, zeros to the end."""
-    data = msgspec.json.encode(value)
-    if _SUM + _LENGTH + len(data) > SLOT:
-        raise RuntimeError(f"a record of {len(data)} bytes does not fit a slot")
-    whole = (len(data).to_bytes(_LENGTH) + data).ljust(SLOT - _SUM, b"\0")
-    return _digest(whole, number) + whole
-
-
-def _opened(slot: bytes, number: int, kind: type[T]) -> T | None:
-    """Return what a slot holds; None when it was never written, or torn."""
-    whole = slot[_SUM:]
-    if len(slot) != SLOT or slot[:_SUM] != _digest(whole, number):
-        return None
-    length = int.from_bytes(whole[:_LENGTH])
-    try:
-        return msgspec.json.decode(whole[_LENGTH : _LENGTH + length], type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError):
+    def _opened(self, slot: bytes, place: int, kind: type[T]) -> T | None:
+        """Return what a slot holds; None when this gate did not write it there, or it was torn."""
+        if not hmac.compare_digest(slot[:_MAC], self._mac(slot[_MAC:], place)):
+            return None
+        with suppress(msgspec.DecodeError, UnicodeDecodeError):
+            return msgspec.json.decode(_content(slot), type=kind)
         return None
 
+    def _mac(self, rest: bytes, place: int) -> bytes:
+        return hmac.digest(self._key, MAGIC + place.to_bytes(_LENGTH) + rest, "sha256")
 
-def _digest(whole: bytes, number: int) -> bytes:
-    return sha256(_MAGIC + number.to_bytes(_LENGTH) + whole).digest()
+
+def _content(slot: bytes) -> bytes:
+    begin = _MAC + _LENGTH
+    return slot[begin : begin + int.from_bytes(slot[_MAC:begin])]
+
+
+def _number_in(slot: bytes) -> int | None:
+    """Return the number that a slot claims, of this format or the one before; None for none."""
+    with suppress(msgspec.DecodeError, ValueError, RecursionError):
+        claim = msgspec.json.decode(_content(slot), type=_Claim)
+        return claim.lost if claim.n is None else claim.n
+    return None

@@ -31,7 +31,7 @@ MOST_CAPABILITIES = 16
 #: Longest time that one call may take, in milliseconds.
 MOST_MS = 600_000
 HOUR_MS = 3_600_000
-#: Most uses of one capability in an hour.
+#: Most uses of one capability by one caller in an hour, those that were given back included.
 MOST_PER_HOUR = 60
 
 
@@ -70,7 +70,7 @@ class Capability(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         guards: all must hold on attested state when it begins and until it ends; one at least.
         callers: sorted; whoever is not named is refused.
         max_ms: longest time that it may take.
-        per_hour: most uses within an hour.
+        per_hour: most uses within an hour, for each caller by itself.
         destination: one of the site's emergency places; for `safe_place` alone.
         params: every parameter's value.
         regions: where the robot must be the whole time; required of what moves.

@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.core.action import Action
-from authguard_r.core.errors import ControllerError
+from authguard_r.core.errors import ControllerError, EnvironmentFault
 from authguard_r.core.identifiers import Digest, ParameterId
 from authguard_r.core.lease import Lease
 from authguard_r.core.reasons import Reason
@@ -112,9 +112,12 @@ class RemoteController:
         self._life = 0
         self._stops = 0
         self._halts = 0
+        self._stood = 0
         self._halting = False
         self._unexplained: Unexplained | None = None
         self._ask: Callable[[Callable[[], None]], bool] = lambda _: False
+        #: says whether a stop would be carried out: else nothing is released and no lease renewed
+        self.can_stop: Callable[[], bool] = lambda: True
 
     def admit_with(self, admit: Callable[[Action, Lease], None]) -> None:
         """Let this refuse an action at the last moment, by raising `ControllerError`."""
@@ -123,6 +126,19 @@ class RemoteController:
     def keep_time(self, mono_ms: Callable[[], int]) -> None:
         """Measure on this clock from now on: the one that leases are measured on."""
         self._mono_ms = mono_ms
+
+    def require_stop(self) -> None:
+        """Require that a stop would be carried out (`running.Guarded`).
+
+        Raises:
+            EnvironmentFault: the stop process does not answer (`BUSY`).
+        """
+        if not self.can_stop():
+            raise EnvironmentFault(
+                "the stop process does not answer: nothing begins until it does",
+                reason=Reason.BUSY,
+                where="stop",
+            )
 
     @property
     def connected(self) -> bool:
@@ -185,8 +201,8 @@ class RemoteController:
             self._send(Kind.HALT, Halt(), self._halts)
 
     def renew(self, ticket: Digest) -> None:
-        """Say that the lease still holds."""
-        if self._send is not None:
+        """Say that the lease still holds; without a stop process none does."""
+        if self._send is not None and self.can_stop():
             self._send(Kind.RENEW, Renew(ticket=ticket), 0)
 
     def forward(self, ticket: Digest, params: dict[str, int]) -> None:
@@ -210,10 +226,24 @@ class RemoteController:
         if life == self._life != 0:
             self._stops = max(self._stops, stops)
 
-    def hear(self, message: Begun | Ended | Stood) -> None:
-        """Take in what the controller says."""
+    @property
+    def halts(self) -> int:
+        """The number of the last `HALT`."""
+        return self._halts
+
+    def has_stood(self, halt: int) -> bool:
+        """Return True when the controller has answered this `HALT`, or a later one."""
+        return self._stood >= halt
+
+    def hear(self, message: Begun | Ended | Stood, number: int = 0) -> None:
+        """Take in what the controller says.
+
+        Args:
+            message: it.
+            number: of the message that it answers; 0: none.
+        """
         if isinstance(message, Stood):
-            self._halting = False
+            self._halting, self._stood = False, max(self._stood, number)
             if message.life != self._life:
                 self._count_anew(message.life)
             if message.stops > self._stops:  # ours, its own, or the lane's: the lane tells

@@ -265,7 +265,7 @@ class Desk:
 
     def _hear(self, client: Client, number: int, said: Any) -> None:  # noqa: ARG002
         if self._controller is not None:
-            self._controller.hear(said)
+            self._controller.hear(said, number)
             self._motions.look()
 
     def _result(self, client: Client, number: int, said: Result) -> None:  # noqa: ARG002

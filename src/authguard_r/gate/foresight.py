@@ -14,15 +14,12 @@ from msgspec import Struct
 from authguard_r.assembly import Gate
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.reasons import Reason
-from authguard_r.core.safety import Hazard
 from authguard_r.enforcement import attested_source, evaluate
+from authguard_r.gate.controller import RemoteController
 from authguard_r.normalize import Step
-from authguard_r.report import Judged, behind_of
+from authguard_r.report import Judged, behind_of, lacks_state
 from authguard_r.running import quietly
 from authguard_r.safety.kept import memory_of
-
-#: What the second gate says for want of newer state.
-_UNKNOWN = frozenset({Hazard.STATE_UNKNOWN, Hazard.NOT_EXECUTABLE})
 
 
 class _Held(Struct, frozen=True):
@@ -36,11 +33,14 @@ class Foresight:
 
     Args:
         gate: enforcer, ledger, safety.
+        controller: says whether a stop would be carried out: a step waits for that, too. None: it
+            always would.
         wait_ms: a step waits so long at most.
     """
 
-    def __init__(self, gate: Gate, *, wait_ms: int) -> None:
+    def __init__(self, gate: Gate, controller: RemoteController | None, *, wait_ms: int) -> None:
         self._gate = gate
+        self._controller = controller
         self._wait_ms = wait_ms
         self._held: list[_Held] = []
         self._seen: object = None
@@ -56,7 +56,7 @@ class Foresight:
         """
         now_ms = self._gate.ledger.mono_ms()
         until = now_ms + self._wait_ms if until_ms is None else until_ms
-        if self._is_closed or now_ms >= until or not self._is_early(step):
+        if self._is_closed or now_ms >= until or (self._can_stop() and not self._is_early(step)):
             return False
         self._held.append(_Held(step, until, go_on))
         return True
@@ -74,7 +74,7 @@ class Foresight:
             return
         ledger, intake = self._gate.ledger, self._gate.enforcer.intake
         quietly(intake.refresh)
-        newest, now_ms = (intake.newest, ledger.fence), ledger.mono_ms()
+        now_ms, newest = ledger.mono_ms(), (intake.newest, ledger.fence, self._can_stop())
         is_new, self._seen = newest != self._seen, newest
         held, self._held = self._held, []
         for item in held:
@@ -82,6 +82,9 @@ class Foresight:
                 item.go_on(item.until_ms)
             else:
                 self._held.append(item)
+
+    def _can_stop(self) -> bool:
+        return self._controller is None or self._controller.can_stop()
 
     def judge(self, step: Step) -> Judged:
         """Return what both gates would say of a step, on the newest state.
@@ -119,10 +122,9 @@ class Foresight:
             judged = self.judge(step)
         except AuthGuardError:
             return False
-        reasons, safety = judged.decision.reasons, judged.safety
+        reasons = judged.decision.reasons
         if not reasons:
-            unsafe = () if safety is None or safety.safe else safety.findings
-            return bool(unsafe) and {finding.hazard for finding in unsafe} <= _UNKNOWN
+            return lacks_state(judged.safety)
         policies = (judged.verified.mission.risk_policy, *gate.facts.risk)
         risky = {one.guard.variable for policy in policies for one in policy.states}
         asks = {Reason.APPROVAL_REQUIRED, Reason.APPROVAL_TIMEOUT} >= set(reasons)

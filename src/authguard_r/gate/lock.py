@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One gate for one robot: two that both believe they hold it would each spend what is left.
 
-Three things are held, none of which another user can take first: an abstract Unix socket's name
-that nobody can foresee and that says whose gate it is, the run folder's lock, and the key's own
-file. The kernel frees all three when the process dies, however it dies.
+Held are things that no other user can take first: an abstract Unix socket's name that nobody can
+foresee and that says whose gate it is, the run folder's lock, the key's own file, and a lock of the
+robot's beside its store and its key. A process that is frozen keeps them all; the kernel frees them
+when it dies, however it dies.
 Spec page: docs/spec/gate-protocol.md#one-gate
 """
 
@@ -68,25 +69,43 @@ def root_fingerprint(root: x509.Certificate) -> str:
     return sha256(root.public_bytes(Encoding.DER)).hexdigest()[:16]
 
 
-def hold_robot(rid: RobotId, fingerprint: str, *, run: Path, key: Path | None = None) -> Lock:
-    """Return the lock of the robot, of the run folder and of the key, all held.
+def hold_robot(
+    rid: RobotId,
+    fingerprint: str,
+    *,
+    run: Path,
+    key: Path | None = None,
+    store: Path | None = None,
+) -> Lock:
+    """Return the lock of the robot, of its folders and of the key, all held.
 
     Args:
         rid: the robot of the gate's certificate.
         fingerprint: of its trust root, from `root_fingerprint`.
         run: the folder of the gate's sockets; must exist and be the gate's to write.
         key: the gate's own key, which only its user can read; None where it is no file.
+        store: its store; None where it is no file.
 
     Raises:
         EnvironmentFault: a gate for this robot runs already, or another one in this folder or with
             this key; nothing is held.
     """
     with ExitStack() as held:
+        files: list[int] = []
+
+        def keep(file: int) -> None:
+            files.append(file)
+            held.callback(os.close, file)
+
+        # by files first: a gate that is frozen cannot be asked, and holds them
+        mine = f"authguard-r-{rid}-{fingerprint}.lock"
+        for folder in dict.fromkeys(p.absolute().parent for p in (store, key) if p is not None):
+            if os.access(folder, os.W_OK):  # else the key's own lock has to do
+                keep(_hold_file(folder / mine, f"a gate for `{rid}` is running already"))
         name = held.enter_context(_hold_name(rid, fingerprint))
-        files = [_hold_folder(run)]
-        held.callback(os.close, files[0])
+        keep(_hold_file(run / LOCK_FILE, "another gate serves in this run folder"))
         if key is not None:
-            files.append(_hold_key(key))
+            keep(_hold_key(key))
         held.pop_all()
         return Lock(name, tuple(files))
 
@@ -158,8 +177,7 @@ def _listener(name: bytes) -> PeerCredentials | None:
         return peer_of(asking)
 
 
-def _hold_folder(run: Path) -> int:
-    path = run / LOCK_FILE
+def _hold_file(path: Path, taken: str) -> int:
     try:
         # never followed, so that a link put there beforehand makes us write nowhere else
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
@@ -170,7 +188,7 @@ def _hold_folder(run: Path) -> int:
     except OSError as error:
         told = os.pread(file, 20, 0).decode("ascii", "replace").strip()
         os.close(file)
-        raise _taken("another gate serves in this run folder", f"pid {told}", path) from error
+        raise _taken(taken, f"pid {told}", path) from error
     os.ftruncate(file, 0)
     os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
     return file

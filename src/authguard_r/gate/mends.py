@@ -178,7 +178,7 @@ _EMERGENCY: tuple[tuple[str, tuple[Reason, ...]], ...] = (
         (Reason.STOPPED,),
     ),
     (
-        "used as often in an hour as the policy allows: find out why it is called so often",
+        "this caller used or tried it as often in an hour as it may: find out why it is called so",
         (Reason.RATE_EXCEEDED,),
     ),
     (

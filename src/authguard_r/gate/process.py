@@ -31,7 +31,6 @@ from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource
 from authguard_r.core.reasons import Reason
-from authguard_r.emergency.journal import EmergencyJournal
 from authguard_r.emergency.opened import OpenedPolicy
 from authguard_r.gate.clocks import every
 from authguard_r.gate.config import GateConfig
@@ -44,7 +43,7 @@ from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.gate.lock import ANSWER_S, Lock, hold_robot, root_fingerprint
 from authguard_r.gate.reader import Reader
 from authguard_r.gate.recovery import Recovery
-from authguard_r.gate.roads import open_road
+from authguard_r.gate.roads import open_journal, open_road
 from authguard_r.gate.service import Service
 from authguard_r.gate.streams import Streams
 from authguard_r.gate.vigil import notary_policy, rotation_policy
@@ -191,11 +190,7 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
         service.vigil.rotation = _rotation(parts, gate, store)
         service.vigil.begin()
         _rescue(parts, service, mounted.remote, held)
-        keeper = _keeper(parts, held)
-        if keeper is not None:
-            service.view.lane_alive = partial(_is_alive, keeper)
-        if keeper is not None and mounted.remote is not None:
-            mounted.remote.ask_with(keeper.sync)
+        keeper = _keeper(parts, service, mounted.remote, held)
         asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
         if gate.ended():
             recovery.end()
@@ -210,7 +205,7 @@ def _rescue(
     if parts.emergency is None:
         return
     beside = parts.store.with_name(f"{parts.store.name}.emergency")
-    journal = EmergencyJournal(parts.emergency.journal or beside, robot=parts.config.robot)
+    journal = open_journal(parts.emergency.journal or beside, service.gate.ledger, parts.signer)
     held.callback(journal.close)
     road = open_road(service, parts.emergency.policy, journal, controller=remote)
     held.callback(road.log.flush)
@@ -218,7 +213,7 @@ def _rescue(
 
 def _hold(parts: Parts) -> Lock:
     root = root_fingerprint(parts.trust.root)
-    return hold_robot(parts.config.robot, root, run=parts.run, key=parts.key)
+    return hold_robot(parts.config.robot, root, run=parts.run, key=parts.key, store=parts.store)
 
 
 def _mount(parts: Parts) -> _Mounted:
@@ -333,13 +328,19 @@ def _is_alive(keeper: LaneKeeper) -> bool:
     return keeper.alive
 
 
-def _keeper(parts: Parts, held: ExitStack) -> LaneKeeper | None:
+def _keeper(
+    parts: Parts, service: Service, remote: RemoteController | None, held: ExitStack
+) -> LaneKeeper | None:
     """Start the stop lane, unless one serves already; one that we started ends with us."""
     if parts.lane is None:
         return None
     keeper = LaneKeeper(parts.lane)
     held.callback(keeper.end)
     keeper.start()
+    service.view.lane_alive = partial(_is_alive, keeper)
+    if remote is not None:
+        remote.ask_with(keeper.sync)
+        remote.can_stop = partial(_is_alive, keeper)
     return keeper
 
 

@@ -12,18 +12,16 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import msgspec
-from msgspec import Struct
 
 from authguard_r.approvals import approver_json
 from authguard_r.assembly import Gate
-from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.core.action import Action, scope_of
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.checks.approval import Situation, assess_need
 from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.encoding import Tag, digest, encode_fast
-from authguard_r.core.errors import MalformedError, RefusedError, StoreError
+from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.mission import Grant
 from authguard_r.core.quantities import Now
@@ -33,25 +31,21 @@ from authguard_r.core.standing import ApprovalRequest, Standing
 from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission
 from authguard_r.ledger import Act
-from authguard_r.questions import Asked, behind, is_denied, record_of, why_not
+from authguard_r.questions import (
+    Asked,
+    Told,
+    behind,
+    find_asked,
+    is_denied,
+    read_told,
+    why_not,
+)
 from authguard_r.report import Report
 from authguard_r.running import quietly
 from authguard_r.wire.questions import Answered, Question, Questions, Truth
 
 #: Tells everybody who watches.
 Publish = Callable[[dict[str, Any]], None]
-
-
-class _Told(Struct, frozen=True):
-    """What a decision's record says of a request: its link and open part, and its values."""
-
-    record: Record
-    sealed: dict[str, Sealed]
-
-    def value(self, name: str, kind: Any) -> Any:
-        """Return a sealed value, None when it was destroyed."""
-        item = self.sealed.get(name)
-        return None if item is None else msgspec.convert(item.value, kind)
 
 
 class OpenQuestions:
@@ -101,7 +95,15 @@ class OpenQuestions:
         said = item.approval
 
         def job(act: Act) -> str:
-            return why_not(self._asked(act, said.mid, said.counter), item, act.now)
+            gate = self._gate
+            asked = find_asked(
+                act,
+                said,
+                mission=gate.enforcer.intake.mission,
+                facts=gate.facts,
+                opened=gate.ledger.opened,
+            )
+            return why_not(asked, item, act.now)
 
         worth = self._gate.ledger.run(job)
         self._publish(
@@ -152,7 +154,9 @@ class OpenQuestions:
         for mid, counter in over:
             del self._known()[mid, counter]
             held = self._gate.ledger.standing(mid)
-            if held is not None and any(r.counter == counter for r in held.requests.values()):
+            if held is not None and any(
+                r.counter == counter and not r.denied for r in held.requests.values()
+            ):
                 self._event("expired", mid, counter, {})
 
     def _event(self, what: str, mid: MissionId, counter: int, more: dict[str, Any]) -> None:
@@ -171,20 +175,6 @@ class OpenQuestions:
         for name, request in standing.requests.items():
             if counter in {None, request.counter}:
                 yield self._question(act, verified, standing, grants[name], request)
-
-    def _asked(self, act: Act, mid: MissionId, counter: int) -> Asked | None:
-        """Return an open request of the active mission by its number."""
-        standing = act.standing(mid)
-        if standing is None or act.active() != mid:
-            return None
-        verified = self._gate.enforcer.intake.mission(act, standing.digest)
-        for grant in verified.mission.actions:
-            request = standing.requests.get(grant.id)
-            if request is not None and request.counter == counter:
-                told = self._record(act, mid, counter)
-                action = told.value("action", Action)
-                return None if action is None else self._put(verified, standing, grant, action)
-        return None
 
     def _put(
         self, verified: VerifiedMission, standing: Standing, grant: Grant, action: Action
@@ -206,7 +196,7 @@ class OpenQuestions:
         grant: Grant,
         request: ApprovalRequest,
     ) -> Question:
-        told = self._record(act, verified.mission.mid, request.counter)
+        told = read_told(act, verified.mission.mid, request.counter, self._gate.ledger.opened)
         action = told.value("action", Action)
         asked = None if action is None else self._put(verified, standing, grant, action)
         held = self._gate.enforcer.intake.answers(act, standing).approvals
@@ -234,7 +224,7 @@ class OpenQuestions:
             risk=told.record.open["risk"],
             required=request.required,
             behind=1 if asked is None else behind(asked, answers, act.now),
-            denied=asked is not None and is_denied(asked, answers, act.now),
+            denied=request.denied or (asked is not None and is_denied(asked, answers, act.now)),
             roles=() if asked is None else asked.roles,
             places=() if action is None else action.places,
             answers=tuple(_answered(asked, item, act.now) for item in answers),
@@ -243,24 +233,7 @@ class OpenQuestions:
             seq=told.record.link.seq,
         )
 
-    def _record(self, act: Act, mid: MissionId, counter: int) -> _Told:
-        """Return the record of the decision that opened a request.
-
-        Raises:
-            StoreError: there is none, or it does not hold what such a record holds.
-        """
-        number = record_of(act, mid, counter)
-        rows = () if number is None else act.rows(number, 1)
-        where = f"request {counter}"
-        if not rows:
-            raise StoreError("its record is gone", where=where, reason=Reason.STORE_CORRUPT)
-        row = self._gate.ledger.opened(rows[0])
-        try:
-            return _Told(read_record(row.record, where=where), read_sealed(row.sealed, where=where))
-        except MalformedError as error:
-            raise StoreError(error.message, where=where, reason=Reason.STORE_CORRUPT) from error
-
-    def _truth(self, told: _Told, verified: VerifiedMission, grant: Grant) -> tuple[bool, ...]:
+    def _truth(self, told: Told, verified: VerifiedMission, grant: Grant) -> tuple[bool, ...]:
         """Return which conditions held when people were asked, from the state of that instant."""
         now = told.value("now", Now) or Now(told.record.link.time_ms, 0)
         kept = told.value("state", tuple[dict[str, Any], ...]) or ()

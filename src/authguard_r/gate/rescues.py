@@ -2,7 +2,8 @@
 """Emergencies at a gate: who calls, what runs meanwhile is stopped first, false ones are counted.
 
 A false call stops nothing and changes nothing: it is answered, recorded and told to people. Only
-a call that both gates accept stops what runs, and is judged again once the robot stands.
+a call that both gates accept stops what runs. It is judged again once the robot stands, on state
+from after that.
 Spec page: docs/spec/emergency.md#calls
 """
 
@@ -36,8 +37,9 @@ _MOST_KEPT = 256
 _MOST_COUNTED = 1_024
 #: What waits in the journal is tried this often, in milliseconds.
 FLUSH_MS = 100
-#: What the gate calls and could not begin is called again after so long, in milliseconds.
-AGAIN_MS = 1_000
+#: What the gate calls and could not begin is called again after so long, in milliseconds; after
+#: twice the time of before when that left records, at last after the second number.
+AGAIN_MS, AGAIN_AT_LAST_MS = 1_000, 64_000
 _GATE = Identifier("gate")
 _CALLERS = {ClientRole.PLANNER: Caller.PLANNER, ClientRole.OPERATOR: Caller.OPERATOR}
 
@@ -56,10 +58,18 @@ class _Asked(Struct, frozen=True):
 
 
 class _Waiting(Struct, frozen=True):
-    """An accepted call that waits until the robot stands."""
+    """An accepted call that waits until the robot stands, and then for state from after that."""
 
     asked: _Asked
     until_ms: int
+    stands: bool = False
+
+
+class _Failed(Struct, frozen=True):
+    """When a call of the gate's own came to nothing, and how long it is not made again."""
+
+    at_ms: int
+    again_ms: int
 
 
 class Rescues:
@@ -72,6 +82,7 @@ class Rescues:
         controller: the controller's end; None where nothing is connected to anything.
         liveness: alerts.
         publish: tells everybody who watches.
+        state_wait_ms: once the robot stands, a call waits so long at most for newer state.
     """
 
     def __init__(
@@ -83,6 +94,7 @@ class Rescues:
         controller: RemoteController | None,
         liveness: Liveness,
         publish: Callable[[dict[str, Any]], None],
+        state_wait_ms: int,
     ) -> None:
         self._rescue = rescue
         self._enforcer = enforcer
@@ -90,13 +102,14 @@ class Rescues:
         self._controller = controller
         self._liveness = liveness
         self._publish = publish
+        self._state_wait_ms = state_wait_ms
         self._waiting: _Waiting | None = None
         self._running: _Asked | None = None
         self._answers: dict[tuple[str, ClientRole], _Answers] = {}
         self._false: OrderedDict[str, int] = OrderedDict()
         self._false_in: str | None = None
         self._met: set[Identifier] = set()
-        self._failed: dict[Identifier, int] = {}
+        self._failed: dict[Identifier, _Failed] = {}
         self._flushed_ms = 0
         #: true once the gate ends: nothing is begun any more
         self.closing: Callable[[], bool] = lambda: False
@@ -158,9 +171,11 @@ class Rescues:
         call = self._rescue.judge(asked.capability, asked.caller, asked.name)
         if not call.released:
             self._refuse(asked, call, call.decision.findings)
-        elif self._running is not None or self._waiting is not None or self.closing():
+        elif self._running is not None or self._waiting is not None:
             busy = Finding("emergency", Reason.BUSY, "no other that is under way", "one")
             self._refuse(asked, call, (busy,), is_false=False)
+        elif hindered := self._hindered():
+            self._refuse(asked, call, hindered, is_false=False)
         else:
             self._enforcer.before_first(self._require_over)
             until_ms = self._rescue.watch.mono_ms() + self._rescue.watch.stand_within_ms
@@ -170,21 +185,44 @@ class Rescues:
             self._go_on(self._waiting, self._rescue.watch.mono_ms())
 
     def _go_on(self, waiting: _Waiting, now_ms: int) -> None:
-        """Begin once the robot stands and no stop is unexplained; give up after a while."""
-        rests = self._controller is None or self._controller.at_rest
-        late = now_ms > waiting.until_ms
-        if (self._motions or not rests) and not late:
+        """Begin once the robot stands, no stop is unexplained and newer state shows that it may.
+
+        Both have their time; what was not so by then refuses the call.
+        """
+        remote = self._controller
+        rests = remote is None or (remote.at_rest and remote.can_stop())
+        if (self._motions or not rests) and now_ms <= waiting.until_ms:
             return
+        if not waiting.stands:
+            waiting = _Waiting(waiting.asked, now_ms + self._state_wait_ms, stands=True)
         self._waiting = None
         asked = waiting.asked
-        call = self._rescue.judge(asked.capability, asked.caller, asked.name)
-        if self._motions or self.closing():
-            moves = Finding("controller", Reason.BUSY, "a robot that stands", "one that moves")
-            self._refuse(asked, call, (moves,), is_false=False)
-        elif not call.released:
-            self._refuse(asked, call, call.decision.findings)
-        else:
+        self._rescue.log.flush()  # what ended before is in the log before the fence is asked
+        call = self._rescue.judge(asked.capability, asked.caller, asked.name, stands=True)
+        moves = Finding("controller", Reason.BUSY, "a robot that stands", "one that moves")
+        if hindered := (moves,) if self._motions else self._hindered(begins=True):
+            self._refuse(asked, call, hindered, is_false=False)
+        elif call.released:
             self._begin(asked, call)
+        elif call.is_early and now_ms < waiting.until_ms:
+            self._waiting = waiting
+        else:
+            self._refuse(asked, call, call.decision.findings, is_false=not call.is_early)
+
+    def _hindered(self, *, begins: bool = False) -> Findings:
+        """Return why nothing could be begun, whatever both gates say; nothing is written then.
+
+        Args:
+            begins: now, and not once the robot stands.
+        """
+        if self.closing():
+            return (Finding("gate", Reason.BUSY, "a gate that serves", "one that ends"),)
+        if self._controller is not None and not self._controller.connected:
+            away = Finding("controller", Reason.CONTROLLER_FAILED, "a connected one", "none")
+            return (away,)
+        if begins and self._controller is not None and not self._controller.can_stop():
+            return (Finding("stop", Reason.BUSY, "a stop process that answers", "none"),)
+        return ()
 
     def _begin(self, asked: _Asked, call: Call) -> None:
         told = {"capability": call.name, "by": call.by, "caller": str(call.caller)}
@@ -247,29 +285,39 @@ class Rescues:
     def _watch(self, now_ms: int) -> None:
         """Call what the gate calls by itself, once each time that its guards begin to hold.
 
-        What came to nothing is called again while they hold, unless no controller is there.
+        What came to nothing is called again while they hold. Nothing is called, and so nothing is
+        stopped, for guards that hold on state from before the last motion alone.
         """
-        away = self._controller is not None and not self._controller.connected
         for name in self._rescue.of_gate():
             call = self._rescue.judge(name, Caller.GATE, _GATE)
             if not call.released:
                 self._met.discard(name)
-            elif name not in self._met and self._is_due(name, now_ms, away=away):
+                if name in self._failed:  # what begins next is called at once
+                    self._failed[name] = _Failed(self._failed[name].at_ms, AGAIN_MS)
+            elif name not in self._met and self._is_due(name, now_ms):
                 self._met.add(name)
                 self._judge(_Asked(_GATE, Caller.GATE, name, partial(self._answered, name)))
                 return
 
-    def _is_due(self, name: Identifier, now_ms: int, *, away: bool) -> bool:
-        """True when a capability was not called in vain, or is to be called again."""
-        failed_ms = self._failed.get(name)
-        return failed_ms is None or (now_ms - failed_ms >= AGAIN_MS and not away)
+    def _is_due(self, name: Identifier, now_ms: int) -> bool:
+        """True when a capability could be begun, and was not called in vain a moment ago."""
+        failed = self._failed.get(name)
+        if self._hindered() or (failed and now_ms - failed.at_ms < failed.again_ms):
+            return False
+        return not self._rescue.judge(name, Caller.GATE, _GATE, stands=True).is_early
 
     def _answered(self, name: Identifier, answer: dict[str, Any]) -> None:
         """Let a call of the gate's own be made again when nothing came of it."""
-        outcome = answer["execution"]["outcome"]
-        if answer["ticket"] is None or outcome == Outcome.NOT_STARTED:
-            self._met.discard(name)
-            self._failed[name] = self._rescue.watch.mono_ms()
+        failed = self._failed.pop(name, None)
+        if answer["execution"]["outcome"] == Outcome.NOT_STARTED:
+            twice_ms = AGAIN_MS if failed is None else 2 * failed.again_ms
+            again_ms = min(twice_ms, AGAIN_AT_LAST_MS)
+        elif answer["ticket"] is None:
+            again_ms = AGAIN_MS if failed is None else failed.again_ms
+        else:
+            return
+        self._met.discard(name)
+        self._failed[name] = _Failed(self._rescue.watch.mono_ms(), again_ms)
 
     def _require_over(self) -> None:
         """Refuse proposals while an emergency is under way.

@@ -6,13 +6,30 @@ Spec page: docs/spec/emergency.md#the-road
 
 from __future__ import annotations
 
-from authguard_r.emergency.journal import EmergencyJournal
+from pathlib import Path
+
+from authguard_r.emergency.journal import MAGIC, EmergencyJournal
 from authguard_r.emergency.opened import OpenedPolicy
 from authguard_r.gate.controller import RemoteController
 from authguard_r.gate.rescues import Rescues
 from authguard_r.gate.service import Service
+from authguard_r.keys.signer import FileSigner
+from authguard_r.ledger import Ledger
 from authguard_r.rescue import Rescue
 from authguard_r.rescue_log import RescueLog
+
+#: What is told of a journal that holds what this gate did not write there.
+STRANGE = "the emergency journal is not authentic"
+
+
+def open_journal(path: Path, ledger: Ledger, signer: FileSigner) -> EmergencyJournal:
+    """Return the emergency journal in a file, under a key for this store and its robot alone.
+
+    Raises:
+        EnvironmentFault: the file cannot be used.
+    """
+    first = ledger.peek(lambda turn: turn.rows(0, 1))[0][3]  # it names the robot, and is no other's
+    return EmergencyJournal(path, key=signer.secret(MAGIC + first))
 
 
 def open_road(
@@ -37,6 +54,8 @@ def open_road(
     log = RescueLog(gate.ledger, journal, settle=gate.enforcer.settle_stops)
     log.adopt(opened)
     log.flush()
+    if log.strange:
+        service.liveness.alert(STRANGE, log.strange)
     road = Rescue(
         gate.ledger,
         gate.enforcer.intake,
@@ -54,6 +73,7 @@ def open_road(
         controller=controller,
         liveness=service.liveness,
         publish=service.notices.publish,
+        state_wait_ms=service.config.state_wait_ms,
     )
     service.desk.rescues = rescues
     service.motions.beside.append(rescues.look)

@@ -15,18 +15,18 @@ from collections.abc import Callable
 from functools import partial
 
 from authguard_r.assembly import Gate
-from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.ports import Signer
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import sign_object
+from authguard_r.gate.braking import Braking, brakes_of
 from authguard_r.gate.clients import Client, Ring
 from authguard_r.gate.clocks import every, first
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.controller import RemoteController
 from authguard_r.gate.desk import Desk
 from authguard_r.gate.foresight import Foresight
+from authguard_r.gate.greeting import welcome_of
 from authguard_r.gate.inbox import Inbox
 from authguard_r.gate.journal import Journal
 from authguard_r.gate.liveness import Liveness
@@ -47,7 +47,7 @@ from authguard_r.report import Report, refusal_entry
 from authguard_r.running import quietly
 from authguard_r.shapes import report_json
 from authguard_r.wire.frames import Frame
-from authguard_r.wire.messages import PROTOCOL, ClientRole, Hello, Kind, Mode, Proof, Welcome
+from authguard_r.wire.messages import ClientRole, Hello, Kind, Mode, Welcome
 
 #: Open leases are looked at this often, in seconds; never more seldom than every 100 ms.
 LOOK_S = 0.05
@@ -110,7 +110,7 @@ class Service:
         self._users: Counter[int] = Counter()
         self._ring = Ring(self._shed)
         self._turning = self._closing = False
-        self._foresight = Foresight(gate, wait_ms=config.state_wait_ms)
+        self._foresight = Foresight(gate, controller, wait_ms=config.state_wait_ms)
         self.motions = Motions(controller, streams)
         self.notices = Notices(gate.ledger, lambda: self._clients, journal)
         self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
@@ -125,7 +125,7 @@ class Service:
         self.retirement = Retirement(
             gate.management, gate.ledger.mono_ms, self.liveness, self.view.mission_changed
         )
-        self.stops = self._stop_book()
+        self.stops, self._braking = self._stopping()
         self.desk = self._desk = Desk(
             gate,
             plans=self._plans(binder, reader, channels),
@@ -141,14 +141,19 @@ class Service:
             refused=lambda client, error: self.refused(client.name, error),
         )
 
-    def _stop_book(self) -> StopBook:
-        return StopBook(
+    def _stopping(self) -> tuple[StopBook, Braking]:
+        """Return who writes stops down, and who carries out those that come to the gate itself."""
+        book = StopBook(
             self.gate.enforcer,
             self._controller,
             view=self.view,
             motions=self.motions,
             liveness=self.liveness,
             notices=self.notices,
+            mono_ms=self.gate.ledger.mono_ms,
+        )
+        return book, brakes_of(
+            self.gate, self._controller, self._config.mode, book=book, motions=self.motions
         )
 
     def _plans(self, binder: Binder, reader: Reader, channels: dict[str, str]) -> Plans:
@@ -188,20 +193,8 @@ class Service:
 
     def welcome(self, hello: Hello) -> Welcome:
         """Return the answer to a hello, with the proof that its nonce asks for."""
-        proof = None
-        if hello.nonce is not None:
-            said = Proof(robot=self._config.robot, role=hello.role, nonce=hello.nonce)
-            proof = sign_object(said, Tag.HANDSHAKE, self._signer).decode("ascii")
-        return Welcome(
-            protocol=PROTOCOL,
-            robot=self._config.robot,
-            mode=self._config.mode,
-            role=hello.role,
-            client=hello.client,
-            site=self.gate.facts.digest,
-            binding=self._binding,
-            proof=proof,
-        )
+        digests = {"site": self.gate.facts.digest, "binding": self._binding}
+        return welcome_of(hello, self._config, self._signer, **digests)
 
     def entered(self, client: Client) -> None:
         """Take a client in; the first controller keeps its place.
@@ -218,6 +211,9 @@ class Service:
     def came(self, client: Client, item: Frame, *, alone: bool) -> None:
         """Let a frame wait for its turn; one that comes alone when nobody waits has it now."""
         self._hear(client)
+        if item.kind is Kind.STOP:  # before anybody's turn
+            self._braking.came(client, item, self.refused)
+            return
         at_once = alone and not self._ring and not self._turning
         self._ring.came(client, item)
         if at_once:
@@ -339,7 +335,7 @@ class Service:
         """Keep the clocks going until it is time to end, then stop the robot and write it down."""
         clocks = [
             asyncio.create_task(every(LOOK_S, self._look)),
-            asyncio.create_task(every(FLUSH_S, partial(quietly, self.gate.ledger.flush))),
+            asyncio.create_task(every(FLUSH_S, self._flush)),
             asyncio.create_task(every(LISTEN_S, self._listen)),
             asyncio.create_task(every(VIGIL_S, self.vigil.look)),
             asyncio.create_task(every(SHRED_S, self.retirement.look)),
@@ -359,6 +355,12 @@ class Service:
         self.motions.look()
         if self._advance is not None and self.motions:
             self._turn_soon()  # simulated time passes as fast as it can be watched
+
+    def _flush(self) -> None:
+        """Write down what waits: outcomes first, then refusals."""
+        if self.gate.watch.settle_owed():
+            self.view.mission_changed()
+        quietly(self.gate.ledger.flush)
 
     def _listen(self) -> None:
         """Once a second: recovery that is late, silence, the clock, the journal's counts."""
@@ -389,7 +391,8 @@ class Service:
         for session in tuple(self._sessions):
             session.end()
         self._reader.close()
-        quietly(self.gate.ledger.flush)
+        self._braking.end()
+        self._flush()
 
 
 def _refuse_all() -> None:

@@ -15,12 +15,14 @@ from typing import Protocol
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.ports import Endorsed
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.algorithms import PrivateKey, PublicKey, require_private
+from authguard_r.keys.algorithms import PRIVATE, PrivateKey, PublicKey, require_private
 from authguard_r.keys.envelope import is_sealed, unseal
 from authguard_r.keys.trust import read_file
 
@@ -73,6 +75,17 @@ class FileSigner:
     def endorse(self, message: bytes) -> tuple[Endorsed, ...]:
         """Return chain and signature of every key (`core.ports.Signer`)."""
         return tuple((chain, key.sign(message)) for key, chain in self._held)
+
+    def secret(self, purpose: bytes) -> bytes:
+        """Return 32 bytes that nobody can make without every key; others for another purpose.
+
+        Raises:
+            AuthenticityError: a key lies in hardware and does not come out (`KEY_INVALID`).
+        """
+        keys = [key.private_bytes_raw() for key, _ in self._held if isinstance(key, PRIVATE)]
+        if len(keys) < len(self._held):
+            raise AuthenticityError("expected keys in a file", reason=Reason.KEY_INVALID)
+        return HKDF(SHA256(), 32, salt=None, info=purpose).derive(b"".join(keys))
 
 
 def read_signer(

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from authguard_r.approvals import approver_json
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.encoding import Tag
@@ -25,6 +24,7 @@ from authguard_r.core.token import read_token
 from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
 from authguard_r.management.activation import activate
+from authguard_r.management.answers import take_answer
 from authguard_r.management.configurations import (
     Configuration,
     Part,
@@ -32,7 +32,7 @@ from authguard_r.management.configurations import (
     require_configurations,
 )
 from authguard_r.management.orders import carry_out, choose
-from authguard_r.management.parts import Parts, attempt, entry
+from authguard_r.management.parts import Parts, attempt
 from authguard_r.management.policy import hold_policy
 from authguard_r.management.recovery import mark_started, mark_stopped, recover
 from authguard_r.management.repetition import admit, withdraw
@@ -177,7 +177,9 @@ class Management:
         return self._do(lambda act: choose(act, token, parts=self._parts))
 
     def approve(self, token: bytes, *, why: str = "") -> VerifiedApproval:
-        """Keep a signed answer to an approval request; whether it fits is decided at use.
+        """Keep a signed answer to an approval request, and close the request by a denial.
+
+        Whether an approval counts is decided at use. The same answer again leaves no record.
 
         Args:
             token: the signed answer.
@@ -186,21 +188,7 @@ class Management:
         Raises:
             AuthGuardError: malformed or not authentic.
         """
-
-        def job(act: Act) -> VerifiedApproval:
-            item = self._intake.take_approval(act, token)
-            opened: dict[str, object] = {
-                "verb": "answer",
-                **approver_json(item.approver),
-                "verdict": item.approval.verdict,
-                "counter": item.approval.counter,
-            }
-            sealed: dict[str, object] = {"token": token.decode("ascii").strip()}
-            sealed |= {"why": why} if why else {}
-            act.record(entry(act, item.approval.mid, opened, sealed))
-            return item
-
-        return self._do(job)
+        return self._do(lambda act: take_answer(act, token, why, self._ledger, parts=self._parts))
 
     def hold_policy(self, policy: VerifiedPolicy | None) -> None:
         """Hold the organization's risk policy, or that there is none, against what was seen.

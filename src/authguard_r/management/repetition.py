@@ -61,9 +61,11 @@ class Used(Struct, frozen=True, kw_only=True):
         return {"token": token.decode("ascii").strip(), "template": self.kept.token}
 
     def opened(self) -> dict[str, object]:
-        """Return what the mission's record says of where it came from."""
+        """Return what the mission's record says of who made it; its issuer did nothing now."""
         return {
+            "by": self.made.scheduler.id,
             "scheduler": self.made.scheduler.id,
+            "issuer": self.made.mission.mission.issuer,
             "template": self.made.template.digest,
             "instance": self.kept.used,
         }

@@ -37,6 +37,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.ledger import Act, read_held
 from authguard_r.management.activation import lapsed
+from authguard_r.management.answers import LATE
 from authguard_r.management.parts import Parts, entry, refuse
 from authguard_r.management.repetition import require_fresh
 from authguard_r.sealing.kept import due_missions, expiry_ms, hold_due, newest_keys
@@ -387,6 +388,7 @@ def _emptied(act: Act, job: Shredding, row: tuple[int, bytes, bytes, bytes]) -> 
     for kind, key in (
         ("token", str(record.open.get("mission"))),
         ("approvals", f"{record.link.mid}:{record.open.get('counter')}"),
+        (LATE, f"{record.link.mid}:{record.open.get('counter')}"),
     ):
         if act.get(kind, key):
             act.put(kind, key, b"")

@@ -405,17 +405,19 @@ class Stood(_Message, frozen=True, kw_only=True):
 
 
 class Stop(_Message, frozen=True, kw_only=True):
-    """Brake and hold, for whoever may speak to the lane.
+    """Brake and hold, for whoever may speak to the stop process or the gate.
 
     Args:
         why: for the log; explains, decides nothing.
+        key: names the stop. A client sends one stop to both, and the log has it once.
     """
 
     why: Annotated[str, Meta(max_length=200)] = ""
+    key: Annotated[str, Meta(max_length=64)] = ""
 
 
 class Stopped(_Message, frozen=True, kw_only=True):
-    """What became of a stop (the lane's `REPLY` to `STOP`).
+    """What became of a stop (the `REPLY` to `STOP`).
 
     Args:
         stopped: every controller that was told has said that the robot stands; false says that
@@ -448,6 +450,7 @@ class StopHeard(_Message, frozen=True, kw_only=True):
             confirmed; null when none was.
         life: the start of the controller that `stops` counts from, 0 when it is not known.
         more: later stops of the same user and role that were folded into this one.
+        key: the client's own name for the stop; empty: it gave none.
     """
 
     epoch: Count
@@ -461,6 +464,7 @@ class StopHeard(_Message, frozen=True, kw_only=True):
     stops: Count | None = None
     life: Count = 0
     more: Count = 0
+    key: str = ""
 
 
 class Heard(_Message, frozen=True, kw_only=True):
@@ -524,16 +528,17 @@ BOUND: dict[Kind, int] = {
 #: What each role may ask of the gate.
 MAY: dict[ClientRole, frozenset[Kind]] = {
     ClientRole.PLANNER: frozenset(
-        {Kind.PROPOSE, Kind.OBSERVE, Kind.SAMPLE, Kind.CLOSE, Kind.EMERGENCY}
+        {Kind.PROPOSE, Kind.OBSERVE, Kind.SAMPLE, Kind.CLOSE, Kind.EMERGENCY, Kind.STOP}
     ),
     ClientRole.OPERATOR: frozenset(
         {Kind.ORDER, Kind.EVALUATE, Kind.STATUS, Kind.RECORDS, Kind.WATCH, Kind.METRICS}
-        | {Kind.EXPLAIN, Kind.APPROVALS, Kind.EMERGENCY}
+        | {Kind.EXPLAIN, Kind.APPROVALS, Kind.EMERGENCY, Kind.STOP}
     ),
-    ClientRole.ESTIMATOR: frozenset({Kind.SNAPSHOT}),
+    ClientRole.ESTIMATOR: frozenset({Kind.SNAPSHOT, Kind.STOP}),
     ClientRole.CONTROLLER: frozenset({Kind.BEGUN, Kind.ENDED, Kind.STOOD, Kind.RESULT}),
     ClientRole.AUDITOR: frozenset(
         {Kind.STATUS, Kind.RECORDS, Kind.WATCH, Kind.METRICS, Kind.EXPLAIN, Kind.APPROVALS}
+        | {Kind.STOP}
     ),
     ClientRole.GATE: frozenset({Kind.HEARD, Kind.SYNC}),
 }

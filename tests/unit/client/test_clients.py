@@ -44,7 +44,6 @@ from authguard_r.wire.messages import (
     Nothing,
     Renew,
     Stood,
-    Stop,
 )
 from fixtures import scenarios
 from fixtures.scripted_peer import Peer, Talk, listening, welcome_of
@@ -969,7 +968,7 @@ def test_an_answer_to_what_was_never_sent_breaks_the_connection() -> None:
         await peer.gone()
 
     async def act(client: AsyncGateClient) -> Any:
-        await client.send(Kind.STOP, Stop())
+        await client.send(Kind.STOOD, Stood(stops=1))
         return [item async for item in client.frames()]
 
     with listening(talk) as path:

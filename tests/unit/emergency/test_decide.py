@@ -23,7 +23,7 @@ from authguard_r.emergency.decide import (
     still_emergency,
 )
 from authguard_r.emergency.opened import OpenedPolicy
-from authguard_r.emergency.policy import HOUR_MS, Caller, Missing
+from authguard_r.emergency.policy import HOUR_MS, MOST_PER_HOUR, Caller, Missing
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import facts_of, profile_digest
 from fixtures import emergency_policies, scenarios
@@ -74,6 +74,9 @@ def test_one_thing_that_does_not_hold_refuses_it() -> None:
         ({"state": state(battery_permille=1_001)}, "GUARD_FALSE"),
         ({"state": state("office-1")}, "OUTSIDE_REGIONS"),
         ({"uses": (1, 2, 3)}, "RATE_EXCEEDED"),
+        ({"tries": tuple(range(MOST_PER_HOUR))}, "RATE_EXCEEDED"),
+        ({"uses": (1,), "tries": tuple(range(MOST_PER_HOUR - 1))}, "RATE_EXCEEDED"),
+        ({"stands": True, "state": state(speed_mm_s=301)}, "BOUND_EXCEEDED"),
         ({"stopped": True}, "STOPPED"),
         ({"now": Now(OPENED.expiry_ms + 1, scenarios.NOW.mono_ms)}, "EXPIRED"),
         ({"now": Now(OPENED.not_before_ms - 1, scenarios.NOW.mono_ms)}, "NOT_YET_VALID"),

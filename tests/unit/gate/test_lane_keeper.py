@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 from functools import partial
@@ -20,6 +21,7 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.token import sign_object
 from authguard_r.gate.lane import keeper as lane_keeper
+from authguard_r.gate.lane import place as lane_place
 from authguard_r.gate.lane.keeper import LaneKeeper
 from authguard_r.gate.lane.link import LaneLink
 from authguard_r.gate.lane.place import PID, SOCKET
@@ -187,8 +189,7 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
     files: LaneFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that is held stays connected: nobody could stop by it, and nobody would know."""
-    monkeypatch.setattr(lane_keeper, "ASK_S", 0.02)
-    monkeypatch.setattr(lane_keeper, "SILENT_S", 0.5)
+    monkeypatch.setattr(lane_keeper, "REPLACED", 1_000_000)
     keeper = LaneKeeper(files)
     assert not keeper.alive
     keeper.start()
@@ -242,22 +243,90 @@ def test_what_a_lane_is_asked_before_its_welcome_waits_for_it_and_ends_nothing(
     assert answered == [0, 1, 2]
 
 
-def test_a_lane_that_was_adopted_serves_on(files: LaneFiles) -> None:
-    owner, heir = LaneKeeper(files), LaneKeeper(files)
-    owner.start()
-    heir.start()
-    heir.end()
+def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: LaneFiles) -> None:
+    keeper = LaneKeeper(files)
+    keeper.start()
+    first = lane_pid(files)
+    late: list[float] = []
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections and keeper.alive)
+        held = time.monotonic()
+        os.kill(first, signal.SIGSTOP)
+        await until(lambda: not keeper.alive)
+        late.append(time.monotonic() - held)
+        await until(lambda: listener.connections >= 2 and keeper.alive)
+
+    try:
+        heard = keeping(keeper, work)
+        assert lane_pid(files) != first
+        assert late[0] < 1.0  # `WITHIN_S`, and what this process is late
+    finally:
+        keeper.end()
+    assert heard.silences == 1
+    assert heard.lost == [None]
+
+
+def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: LaneFiles) -> None:
+    """It is silent for the gate's own fault, and what it keeps is the stop that is owed."""
+    keeper = LaneKeeper(files)
+    keeper.start()
+    first = lane_pid(files)
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections and keeper.alive)
+        listener.settled = False
+        os.kill(first, signal.SIGSTOP)
+        await asyncio.sleep(2 * lane_keeper.REPLACED * lane_keeper.ASK_S)
+        listener.settled = True
+        os.kill(first, signal.SIGCONT)
+        await until(lambda: keeper.alive)
+
+    try:
+        keeping(keeper, work)
+        assert lane_pid(files) == first
+    finally:
+        keeper.end()
+
+
+def test_a_lane_of_a_gate_that_was_killed_is_adopted_and_ends_with_the_next(
+    files: LaneFiles,
+) -> None:
+    killed, heir = LaneKeeper(files), LaneKeeper(files)
+    killed.start()
     for _ in range(3):
         stop(files)
 
     async def work(listener: Listener) -> None:
         await until(lambda: len(listener.stops) == 3)
 
-    try:
-        numbers = [stop.n for stop in keeping(heir, work).stops]
-        assert sorted(set(numbers)) == numbers  # all of them were before the gate was there
-    finally:
-        owner.end()
+    heir.start()
+    numbers = [stop.n for stop in keeping(heir, work).stops]
+    assert sorted(set(numbers)) == numbers  # all of them were before the gate was there
+    heir.end()
+    assert lane_pid_or_none(files) is None
+    killed.end()
+
+
+@pytest.mark.parametrize("number", [signal.SIGCONT, signal.SIGSTOP])
+def test_a_lane_that_hangs_at_the_end_is_left_behind_no_more_than_one_that_serves(
+    files: LaneFiles, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lane_place, "_END_S", 0.5)
+    keeper = LaneKeeper(files)
+    keeper.start()
+    pid = lane_pid(files)
+    os.kill(pid, number)
+    keeper.end()
+    assert not Path(f"/proc/{pid}").exists()
+
+
+def test_a_lane_that_was_started_by_hand_serves_on(files: LaneFiles) -> None:
+    with estop_fixtures.process(files):
+        keeper = LaneKeeper(files)
+        keeper.start()
+        keeper.end()
+        stop(files)
 
 
 def test_a_lane_that_cannot_be_started_is_tried_again_and_the_gate_told(
@@ -300,10 +369,10 @@ def test_a_lane_of_another_configuration_is_retired_and_one_of_this_started(
 
 
 @pytest.mark.parametrize("config", ["another", "gone"])
-def test_a_stale_lane_that_does_not_end_is_a_fault(
+def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
     files: LaneFiles, config: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lane_keeper, "RETIRE_S", 0.1)
+    monkeypatch.setattr(lane_place, "_END_S", 0.5)
     keeper = LaneKeeper(files)
     keeper.start()
     place = files.run / lane_keeper.CONFIG
@@ -313,9 +382,22 @@ def test_a_stale_lane_that_does_not_end_is_a_fault(
         place.write_text("another")
     pid = lane_pid(files)
     os.kill(pid, signal.SIGSTOP)
-    try:
-        with pytest.raises(EnvironmentFault, match="does not end"):
-            LaneKeeper(files).start()
-    finally:
-        os.kill(pid, signal.SIGCONT)
-        keeper.end()
+    keeper.start()
+    assert lane_pid(files) != pid
+    keeper.end()
+
+
+def test_a_stale_lane_that_does_not_end_is_a_fault(
+    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whose number nobody knows, nobody can end."""
+    monkeypatch.setattr(lane_place, "_END_S", 0.1)
+    keeper = LaneKeeper(files)
+    keeper.start()
+    (files.run / lane_keeper.CONFIG).write_text("another")
+    pid = lane_pid(files)
+    (files.run / PID).write_text("nobody")
+    with pytest.raises(EnvironmentFault, match="does not end"):
+        LaneKeeper(files).start()
+    (files.run / PID).write_text(str(pid))
+    keeper.end()

@@ -319,3 +319,34 @@ def test_the_fingerprint_is_the_roots() -> None:
     found = root_fingerprint(root)
     assert len(found) == 16
     assert found == root_fingerprint(root)
+
+
+@pytest.mark.parametrize("beside", ["store", "key"])
+def test_a_frozen_gate_whose_queue_is_full_holds_its_robot_by_files(
+    tmp_path: Path, rid: RobotId, holders: list[subprocess.Popen[str]], beside: str
+) -> None:
+    """Nobody answers at its name, and a second gate has other files: it would be a second one."""
+    place = folder(tmp_path, "place")
+    first, second = place / "first", place / "second"
+    for path in (first, second):
+        path.write_text("its own")
+    lock = hold_robot(rid, "a" * 16, run=folder(tmp_path, "run"), **{beside: first})
+    asking = fill(names_of(rid)[0])
+    with pytest.raises(EnvironmentFault, match=f"running already .pid {os.getpid()}"):
+        hold_robot(rid, "a" * 16, run=folder(tmp_path, "other"), **{beside: second})
+    for one in asking:
+        one.close()
+    hold_robot(RobotId(f"{rid}x"), "a" * 16, run=tmp_path / "other", **{beside: second}).release()
+    lock.release()
+    hold_robot(rid, "a" * 16, run=tmp_path / "other", **{beside: second}).release()
+
+
+def test_a_key_in_a_folder_of_root_s_is_held_by_its_own_file(
+    tmp_path: Path, rid: RobotId, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its user can put no second key there."""
+    monkeypatch.setattr(os, "access", lambda *_: False)  # the tests may run as root
+    place = folder(tmp_path, "place")
+    (place / "key").write_text("its own")
+    hold_robot(rid, "a" * 16, run=folder(tmp_path, "run"), key=place / "key").release()
+    assert list(place.iterdir()) == [place / "key"]

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.assembly import gate_name
 from authguard_r.audit.record import Record, read_record
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast
@@ -19,11 +20,10 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.ports import Store
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome
-from authguard_r.emergency.journal import EmergencyJournal
 from authguard_r.emergency.opened import open_emergency, require_signer
 from authguard_r.emergency.policy import Caller, EmergencyPolicy
 from authguard_r.gate import rescues
-from authguard_r.gate.roads import open_road
+from authguard_r.gate.roads import open_journal, open_road
 from authguard_r.keys.revoking import revoke
 from authguard_r.rescue import Relief, Rescued
 from authguard_r.rescue_log import Kept
@@ -86,7 +86,8 @@ class Ward(House):
     def _assemble(self, mode: Any) -> None:
         super()._assemble(mode)
         path = self._path
-        self.spool = None if path is None else EmergencyJournal(path, robot=scenarios.RID)
+        key = self.signer(gate_name(scenarios.RID))
+        self.spool = None if path is None else open_journal(path, self.gate.ledger, key)
         self.road = open_road(
             self.service,
             emergency_policies.opened(self._policy),
@@ -466,7 +467,7 @@ def test_an_emergency_whose_gate_died_is_unknown_once(tmp_path: Path) -> None:
     for _ in range(2):
         with Ward(**road) as house:
             assert house.told == [("accept", "go-safe"), ("unknown", "go-safe")]
-            assert house.road.log.uses("go-safe") == (0,)
+            assert house.road.log.uses(Caller.PLANNER, "go-safe") == (0,)
             house.crashes = True
 
 
@@ -485,7 +486,7 @@ def test_a_journaled_emergency_whose_gate_died_is_in_the_log_once(tmp_path: Path
         with Ward(**road) as house:
             assert house.told == [("accept", "go-safe"), ("unknown", "go-safe")]
             assert house.log("emergency")[1].open["journal"] == 1
-            assert house.road.log.uses("go-safe") == (0,)
+            assert house.road.log.uses(Caller.PLANNER, "go-safe") == (0,)
             house.crashes = True
 
 
@@ -515,12 +516,17 @@ def test_a_policy_is_in_the_log_once_until_it_changes() -> None:
             assert len(found) == known
 
 
-def test_without_a_controller_nothing_is_begun_and_that_is_recorded() -> None:
+def test_without_a_controller_a_call_is_refused_before_anything_is_written() -> None:
     with Ward(robot=False) as house:
-        answer = house.call(planner(house), "go-safe")
-        assert answer["execution"]["outcome"] == "not_started"
-        assert answer["execution"]["reasons"] == ["CONTROLLER_FAILED"]
-        assert house.told == [("accept", "go-safe"), ("not_started", "go-safe")]
+        guest = planner(house)
+        for _ in range(20):
+            answer = house.call(guest, "go-safe")
+            assert (answer["outcome"], answer["reasons"]) == ("reject", ["CONTROLLER_FAILED"])
+        assert (house.told, house.alerts) == ([], [])
+        refused = [r for r in house.log("refusal") if r.open.get("what") == "emergency"]
+        assert [r.open["reasons"] for r in refused] == [["CONTROLLER_FAILED"]]  # a row is one
+        house.connect_robot()
+        assert house.call(guest, "go-safe")["execution"]["outcome"] == "succeeded"
 
 
 def test_a_robot_that_does_not_stand_is_sent_nowhere() -> None:
@@ -752,7 +758,9 @@ def test_uses_of_before_a_power_cut_count_for_an_hour_from_now() -> None:
         house.crashes = True
     twice = {**emergency_policies.GO_SAFE, "per_hour": 2}
     with Ward(twice, store=store, clock=clock, at="station-103") as house:
-        assert house.road.log.uses("go-safe") == (1, 5_000)  # none is still to come, none is gone
+        for caller in Caller:  # an older gate's uses were anybody's
+            uses = house.road.log.uses(caller, "go-safe")
+            assert uses == (1, 5_000)  # none is still to come, none is gone
         assert house.call(planner(house), "go-safe")["reasons"] == ["RATE_EXCEEDED"]
 
 
@@ -782,12 +790,12 @@ def always(**changes: Any) -> dict[str, Any]:
 def test_what_the_gate_could_not_begin_is_begun_when_its_controller_is_there() -> None:
     with Ward(always(), at="station-103", robot=False) as house:
         house.advance(5_000)
-        assert house.told == [("accept", "mine"), ("not_started", "mine")]  # once: nobody is there
+        assert (house.told, house.log("refusal")) == ([], [])
         house.connect_robot()
         house.advance(20_000)
-        assert house.told[2:] == [("accept", "mine"), ("succeeded", "mine")]
+        assert house.told == [("accept", "mine"), ("succeeded", "mine")]
         house.advance(5_000)
-        assert len(house.told) == 4
+        assert len(house.told) == 2
 
 
 def test_what_the_gate_could_not_begin_is_called_once_a_second_and_no_oftener() -> None:

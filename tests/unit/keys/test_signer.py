@@ -19,7 +19,8 @@ from cryptography.hazmat.primitives.serialization import (
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.signer import read_signer
+from authguard_r.keys.algorithms import Algorithm, PublicKey
+from authguard_r.keys.signer import FileSigner, read_signer
 from unit.keys import chains
 from unit.keys.chains import Held, house
 
@@ -56,6 +57,30 @@ def test_a_signer_signs_as_its_leaf(tmp_path: Path) -> None:
     assert signer.chain == (LEAF.der, house().people.der)
     found = house().trust().verify(b"go", signer.endorse(b"go"), chains.NOW)
     assert found.id == "operator-1"
+
+
+class Hardware:
+    """A key that can be used and does not come out."""
+
+    def sign(self, data: bytes, /) -> bytes:
+        return LEAF.key.sign(data)
+
+    def public_key(self) -> PublicKey:
+        return LEAF.key.public_key()
+
+
+def test_a_secret_is_every_keys_and_one_purposes() -> None:
+    chain = house().chain(LEAF)
+    second = chains.leaf_of(Algorithm.ML_DSA_87, "supervisor-1").key
+    alone, both = FileSigner(LEAF.key, chain), FileSigner(LEAF.key, chain, (second, chain))
+    made = [signer.secret(purpose) for signer in (alone, both) for purpose in (b"a", b"b")]
+    made += [FileSigner(second, chain).secret(b"a")]
+    assert len(set(made)) == 5
+    assert {len(secret) for secret in made} == {32}
+    assert alone.secret(b"a") == FileSigner(LEAF.key, chain).secret(b"a")
+    for held in (FileSigner(Hardware(), chain), FileSigner(LEAF.key, chain, (Hardware(), chain))):
+        with pytest.raises(AuthenticityError, match="in a file"):
+            held.secret(b"a")
 
 
 @pytest.mark.parametrize(

@@ -200,11 +200,13 @@ def test_answers_that_a_store_holds_go_with_their_records(path: Path) -> None:
         sim.gate.management.command(sealed_logs.command(sim, Verb.REVOKE, mission))
         sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, PERSON))
         finished(sim)
-        assert sim.gate.ledger.peek(lambda turn: turn.get("approvals", place)) == b""
+        for kind in ("approvals", "late-answers"):
+            assert sim.gate.ledger.peek(lambda turn, k=kind: turn.get(k, place)) == b""
 
 
 def answered(act: Act, mid: str, place: str) -> None:
     act.put("approvals", place, b'["a token"]')
+    act.put("late-answers", place, b'["supervisor-1:approve"]')
     opened = {"verb": "answer", "by": "anna", "counter": 1}
     act.record(entry(act, mid, opened, {"token": "a token"}))
 

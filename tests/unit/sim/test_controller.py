@@ -459,16 +459,34 @@ def test_a_drive_ends_after_its_time() -> None:
     assert bench.place == (start[0] + 200, start[1])
 
 
-def test_a_desk_that_was_held_up_judges_by_what_it_then_hears() -> None:
-    """Renewals that waited in the socket while the process slept count; missing ones do too."""
+@pytest.mark.parametrize("late", ["renewal", "sample"])
+def test_what_waited_in_the_socket_renews_nothing_after_a_silence(late: str) -> None:
+    """The silence before a message is judged before the message is."""
+    bench = Bench(at="public-corridor")
+    bench.dispatch(drive(200))
+    bench.sample(linear_mm_s=200)
+    bench.wait(200)
+    before = bench.place
+    bench.now_ms += 5_000
+    if late == "renewal":
+        bench.renew()
+    else:
+        bench.sample(linear_mm_s=200)
+    bench.wait(1_000)
+    assert bench.said(Channel.GATE)[-2:] == [LOST, ("STOOD", "1", "")]
+    assert bench.speed == 0
+    gone_mm = abs(bench.place[0] - before[0]) + abs(bench.place[1] - before[1])
+    assert gone_mm < 200  # not the metre of five seconds
+
+
+def test_what_came_in_time_renews_although_the_process_was_held_up() -> None:
     bench = moving()
-    bench.now_ms += 1_000
+    bench.now_ms += 200
+    bench.renew()
+    bench.now_ms += 200
     bench.renew()
     bench.sent += bench.desk.tick(bench.now_ms)
     assert bench.speed == 800
-    bench.now_ms += 5_000
-    bench.sent += bench.desk.tick(bench.now_ms)
-    assert bench.said(Channel.GATE) == [LOST, ("STOOD", "1", "")]
 
 
 def test_a_robot_in_a_hurry_moves_faster_and_its_gate_is_missed_as_soon() -> None:

@@ -12,14 +12,14 @@ from authguard_r.core.action import scope_of
 from authguard_r.core.approval import Verdict, VerifiedApproval
 from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
+from authguard_r.core.checks.people import people_behind
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.finding import Finding, Findings
-from authguard_r.core.identifiers import Digest, PrincipalId
+from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Grant, RiskPolicy
 from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import required, rho, tier_of
 from authguard_r.core.standing import ApprovalRequest
-from authguard_r.core.token import Principal
 
 
 class Need(Struct, frozen=True, kw_only=True):
@@ -67,31 +67,21 @@ def _strictness(case: Case, policy: RiskPolicy) -> tuple[int, int, int]:
 
 
 def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
-    """(7) Req(a, s) - 1 principals beside the issuer approved; nobody denied."""
+    """(7) Req(a, s) people, the issuer's included, are behind it; nobody denied."""
     if need.required <= 1:
         return ()
     request = case.standing.requests.get(grant.id) if case.standing is not None else None
     if request is None or (request.scope, request.situation) != (need.scope, need.situation):
         return _ask(case, need)
+    fitting = [a for a in case.approvals if _fits(a, case, grant, request)]
+    if request.denied or any(a.approval.verdict is Verdict.DENY for a in fitting):
+        return (_finding(Reason.APPROVAL_DENIED, need.required, "a principal denied"),)
     if case.now.utc_ms > request.expires_ms:
         return (_finding(Reason.APPROVAL_TIMEOUT, need.required, "the request ran out"),)
-    fitting = [a for a in case.approvals if _fits(a, case, grant, request)]
-    if any(a.approval.verdict is Verdict.DENY for a in fitting):
-        return (_finding(Reason.APPROVAL_DENIED, need.required, "a principal denied"),)
-    behind = _count([a.approver for a in fitting], case.verified.mission.issuer)
-    if behind >= need.required - 1:
+    behind = people_behind(case.verified.issuer, [a.approver for a in fitting])
+    if behind >= need.required:
         return ()
-    return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{behind + 1} of them"),)
-
-
-def _count(approvers: list[Principal], issuer: PrincipalId) -> int:
-    """Return how many people other than the issuer stand behind the approvals.
-
-    People may be members of a group, and of two: what one road counts is never added to another.
-    """
-    people = {a.id for a in approvers if not a.members}
-    groups = [a.threshold - (issuer in a.members) for a in approvers if a.members]
-    return max(len(people), *groups, 0)
+    return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{behind} of them"),)
 
 
 def _ask(case: Case, need: Need) -> Findings:
@@ -107,16 +97,14 @@ def _fits(item: VerifiedApproval, case: Case, grant: Grant, request: ApprovalReq
     """True when the approval is bound to this request in every field and its signer may answer."""
     approval, mission = item.approval, case.verified.mission
     bound = (
-        approval.mid == mission.mid
-        and approval.version == mission.version
-        and approval.mission == case.verified.digest
+        (approval.mid, approval.grant) == (mission.mid, grant.id)
+        and (approval.version, approval.mission) == (mission.version, case.verified.digest)
         and approval.rid == case.facts.robot.rid
-        and approval.grant == grant.id
-        and approval.scope == request.scope
-        and approval.situation == request.situation
+        and (approval.scope, approval.situation) == (request.scope, request.situation)
         and approval.counter == request.counter
     )
-    in_time = case.now.utc_ms <= min(approval.expires_ms, item.approver.usable_until_ms)
+    until = min(request.expires_ms, approval.expires_ms, item.approver.usable_until_ms)
+    in_time = case.now.utc_ms <= until
     eligible = (
         all(item.approver.role in policy.roles for policy in _policies(case))
         and item.approver.id != mission.issuer

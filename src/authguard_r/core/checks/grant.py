@@ -41,8 +41,7 @@ def check_parameters(case: Case, indexed: IndexedGrant) -> Findings:
         if value is None:
             found.append(Finding(f"params.{name}", Reason.PARAMETER_MISSING, "a value", "none"))
         elif type(value) is not int or not limit.low <= value <= limit.high:
-            expected = f"{limit.low} to {limit.high}"
-            place = f"params.{name}"
+            place, expected = f"params.{name}", f"{limit.low} to {limit.high}"
             found.append(Finding(place, Reason.PARAMETER_OUT_OF_BOUNDS, expected, str(value)))
     if len(params) != len(limits) or found:
         found += [

@@ -40,9 +40,8 @@ def guard_finding(
         return unfit
     if _holds(guard, reading.value):
         return None
-    return Finding(
-        field, Reason.GUARD_FALSE, f"{guard.comparison} {guard.value}", str(reading.value)
-    )
+    expected = f"{guard.comparison} {guard.value}"
+    return Finding(field, Reason.GUARD_FALSE, expected, str(reading.value))
 
 
 def unfit_finding(

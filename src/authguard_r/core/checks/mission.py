@@ -21,17 +21,11 @@ from authguard_r.core.standing import Standing
 
 def check_certificate(case: Case) -> Findings:
     """(1) The issuer's certificates and revocation list are still in time."""
-    until = case.verified.issuer.usable_until_ms
-    if case.now.utc_ms <= until:
+    until, now = case.verified.issuer.usable_until_ms, case.now.utc_ms
+    if now <= until:
         return ()
-    return (
-        Finding(
-            "mission.issuer",
-            Reason.CERTIFICATE_EXPIRED,
-            f"at most {to_timestamp(until)}",
-            to_timestamp(case.now.utc_ms),
-        ),
-    )
+    expected, got = f"at most {to_timestamp(until)}", to_timestamp(now)
+    return (Finding("mission.issuer", Reason.CERTIFICATE_EXPIRED, expected, got),)
 
 
 def check_time(case: Case) -> Findings:
@@ -98,14 +92,9 @@ def check_meta(case: Case) -> Findings:
     meta, mission = case.action.meta, case.verified.mission
     if meta is None or (meta.mission == mission.mid and meta.mission_version == mission.version):
         return ()
-    return (
-        Finding(
-            "meta.mission",
-            Reason.META_MISMATCH,
-            f"{mission.mid} version {mission.version}",
-            f"{meta.mission} version {meta.mission_version}",
-        ),
-    )
+    expected = f"{mission.mid} version {mission.version}"
+    got = f"{meta.mission} version {meta.mission_version}"
+    return (Finding("meta.mission", Reason.META_MISMATCH, expected, got),)
 
 
 def check_capability(case: Case) -> Findings:

@@ -38,21 +38,16 @@ def check_route(case: Case, row: Row) -> Findings:
     """(6) Every region that the action asks to pass is one of the row's."""
     if not case.action.route:
         return ()
+    expected = f"one of {', '.join(row.regions) or 'none'}"
+    label = case.action.provenance.get("route", Label.MODEL)
     return tuple(
-        Finding(
-            f"route[{number}]",
-            Reason.ROUTE_OUT_OF_SCOPE,
-            f"one of {', '.join(row.regions) or 'none'}",
-            f"{region} ({case.action.provenance.get('route', Label.MODEL)})",
-        )
+        Finding(f"route[{number}]", Reason.ROUTE_OUT_OF_SCOPE, expected, f"{region} ({label})")
         for number, region in enumerate(case.action.route)
         if region not in row.regions
     )
 
 
 def _differs(case: Case, field: str, reason: Reason, expected: str | None) -> Finding:
-    label = case.action.provenance.get(field, Label.MODEL)
-    got = getattr(case.action, field)
-    return Finding(
-        field, reason, expected or "none", f"{got} ({label})" if got is not None else "none"
-    )
+    label, value = case.action.provenance.get(field, Label.MODEL), getattr(case.action, field)
+    got = "none" if value is None else f"{value} ({label})"
+    return Finding(field, reason, expected or "none", got)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from msgspec import Struct
 
-from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -24,8 +24,8 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import sign_object
 from authguard_r.gate.config import GateConfig, roles_of
+from authguard_r.gate.greeting import welcome_of
 from authguard_r.gate.lane.journal import Journal
 from authguard_r.gate.lane.stops import Brake, Settled, Stops
 from authguard_r.gate.peers import OVERFLOW_UID, client_role
@@ -40,12 +40,10 @@ from authguard_r.wire.messages import (
     Hello,
     Kind,
     Nothing,
-    Proof,
     Stood,
     Stop,
     StopHeard,
     Stopped,
-    Welcome,
     opening_bound,
 )
 
@@ -78,6 +76,7 @@ class Peer:
         self.is_ending = False
         self.is_gone = False
         self.brake: Brake | None = None
+        self.unproved: Hello | None = None  # what it is welcomed for, with a proof
 
     @property
     def is_heard(self) -> bool:
@@ -90,7 +89,7 @@ class Asked(Struct, frozen=True):
 
     peer: Peer
     number: int
-    why: str
+    stop: Stop
     time_ms: int
 
 
@@ -137,7 +136,7 @@ class Desk:
         self._stops: Stops[Asked] = Stops()
         self._gate: Peer | None = None
         self._asking: deque[Asking] = deque()
-        self._unproved: deque[tuple[Peer, Hello]] = deque()
+        self._unproved: deque[Peer] = deque()
 
     @property
     def is_waiting(self) -> bool:
@@ -174,7 +173,11 @@ class Desk:
     def received(self, peer: Peer, data: bytes, now: Now) -> None:
         """Take in bytes of a client, anybody's; what is wrong ends its connection alone."""
         try:
-            peer.asked.extend(peer.reader.feed(data))
+            peer.reader.put(data)
+            while (item := peer.reader.next()) is not None:
+                peer.asked.append(item)
+                if peer.role is None:
+                    self._serve(peer, now)  # a hello changes the bounds of what follows it
             self._serve(peer, now)
         except AuthGuardError as error:
             self._end(peer, error)
@@ -183,9 +186,14 @@ class Desk:
             self._mark(peer, now)
 
     def close(self, peer: Peer, now: Now) -> None:
-        """Let a connection go that ended, whoever ended it; a second call does nothing."""
+        """Let a connection go that ended, whoever ended it; a second call does nothing.
+
+        A stop that came whole is carried out and recorded all the same: its client may have left
+        because nobody answered.
+        """
         if peer.is_gone:
             return
+        left, peer.asked = peer.asked, deque()
         peer.is_gone = peer.is_ending = True
         self._peers.discard(peer)
         self._due.discard(peer)
@@ -196,6 +204,10 @@ class Desk:
         if peer.brake is not None:
             self._stops.leave(peer.brake)
             self._settle(now)
+        for item in left:
+            if item.kind is Kind.STOP:
+                with suppress(MalformedError):
+                    self._stop(peer, read_body(item.body, Stop), item.id, now)
 
     def tick(self, now: Now) -> None:
         """Do what is due: repeat `HALT`, answer stops that nobody confirmed, end the silent."""
@@ -217,8 +229,7 @@ class Desk:
             except AuthGuardError as error:
                 self._end(peer, error)
         if self._unproved:
-            peer, hello = self._unproved.popleft()
-            self._welcome(peer, hello, now)
+            self._prove(self._unproved.popleft(), now)
 
     def _serve(self, peer: Peer, now: Now) -> None:
         """Carry out what a client asked, at most one stop: then it is the others' turn."""
@@ -238,7 +249,7 @@ class Desk:
 
     def _stop(self, peer: Peer, stop: Stop, number: int, now: Now) -> None:
         peer.is_busy = True
-        self._stops.stop(Asked(peer, number, stop.why, now.utc_ms), now.mono_ms)
+        self._stops.stop(Asked(peer, number, stop, now.utc_ms), now.mono_ms)
         self._settle(now)
 
     def _stood(self, peer: Peer, stood: Stood, number: int, now: Now) -> None:
@@ -271,20 +282,19 @@ class Desk:
         if hello.nonce is None:
             self._welcome(peer, hello, now)
         else:
-            self._unproved.append((peer, hello))
+            peer.unproved = hello
+            self._unproved.append(peer)
+
+    def _prove(self, peer: Peer, now: Now) -> None:
+        """Welcome a client that waits for a proof, unless that came first of a stop of its own."""
+        hello, peer.unproved = peer.unproved, None
+        if hello is not None:
+            self._welcome(peer, hello, now)
 
     def _welcome(self, peer: Peer, hello: Hello, now: Now) -> None:
         if peer.is_ending:
             return
-        welcome = Welcome(
-            protocol=PROTOCOL,
-            robot=self._robot,
-            mode=self._config.mode,
-            role=hello.role,
-            client=hello.client,
-            proof=self._proof(hello),
-        )
-        self._send(peer, Kind.WELCOME, 0, welcome)
+        self._send(peer, Kind.WELCOME, 0, welcome_of(hello, self._config, self._signer))
         if hello.role is ClientRole.CONTROLLER:
             peer.brake = Brake(
                 lambda number: self._send(peer, Kind.HALT, number, Halt()), lambda: not peer.out
@@ -298,16 +308,11 @@ class Desk:
             self.journal.begin()
             self._tell_gate()
 
-    def _proof(self, hello: Hello) -> str | None:
-        if hello.nonce is None:
-            return None
-        proof = Proof(robot=self._robot, role=hello.role, nonce=hello.nonce)
-        return sign_object(proof, Tag.HANDSHAKE, self._signer).decode("ascii")
-
     def _settle(self, now: Now) -> None:
         """Answer every stop that is over, then keep it for the gate."""
         over = self._stops.settled(now.mono_ms)
         for settled in over:
+            self._prove(settled.asked.peer, now)
             self._answer(settled)
         for settled in over:
             self._keep(settled)
@@ -336,7 +341,8 @@ class Desk:
                 uid=asked.peer.uid,
                 role=asked.peer.role,
                 time_ms=asked.time_ms,
-                why=asked.why,
+                why=asked.stop.why,
+                key=asked.stop.key,
                 stood_ms=settled.after_ms if settled.stopped else None,
                 stops=None if settled.said is None else settled.said.stops,
                 life=0 if settled.said is None else settled.said.life,

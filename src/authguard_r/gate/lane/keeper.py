@@ -1,38 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps a stop lane serving for as long as the gate does, and hears of every stop.
 
-A lane that dies is started again; one that another gate started is adopted and left alone at the
-end. Spec page: docs/spec/gate-protocol.md#stop-lane
+A lane that dies is started again, and one that hangs is replaced. At the end no lane that a gate
+started is left; one that was started by hand serves on.
+Spec page: docs/spec/gate-protocol.md#stop-lane
 """
 
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
+import math
 import subprocess
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault
-from authguard_r.core.reasons import Reason
+from authguard_r.core.errors import AuthGuardError
 from authguard_r.gate.lane.link import LaneLink, start_lane
-from authguard_r.gate.lane.place import PID, SOCKET, is_served
+from authguard_r.gate.lane.place import SOCKET, end_lane, is_of_gate, is_served, kill
 from authguard_r.gate.lane.run import CONFIG, LaneFiles, config_digest
 from authguard_r.wire.messages import StopHeard
 
 #: A lane that is gone is looked for this often, in seconds.
 RETRY_S = 1.0
-#: A lane that is told to end is gone within this, in seconds.
-RETIRE_S = 5.0
+#: A lane that was started here and is told to end is gone within this, in seconds.
+END_S = 5.0
 #: The lane is told what is recorded this often, in seconds; it sends at most 32 stops before.
 HEARD_S = 0.1
 #: A lane is asked whether it is there this often, in seconds; a process that hangs stays connected.
-ASK_S = 1.0
-#: One that has not answered after this long is silent, in seconds; a stop takes it one at most.
-SILENT_S = 5.0
+ASK_S = 0.05
+#: It answers when nobody asked anything within this time, in seconds: nothing moves meanwhile.
+WITHIN_S = 0.3
+#: A lane is silent after so many looks without an answer, and replaced after so many more. A stop
+#: takes it a second at most. Looks are counted, not time: a gate that hung itself looks once.
+SILENT, REPLACED = 24, 40
 
 
 class Listener(Protocol):
@@ -68,12 +70,13 @@ class LaneKeeper:
         self._started: list[subprocess.Popen[bytes]] = []
         self._link: LaneLink | None = None
         self._asked_s: float | None = None  # when it was asked what it has not answered
+        self._answered_s = -math.inf  # when it was asked what it answered last
+        self._looks = 0  # without an answer
 
     @property
     def alive(self) -> bool:
-        """True while a lane is connected and answers."""
-        late = self._asked_s is not None and time.monotonic() - self._asked_s >= SILENT_S
-        return self._link is not None and self._link.connected and not late
+        """True while a lane has answered within `WITHIN_S`: a stop would be carried out."""
+        return time.monotonic() - self._answered_s <= WITHIN_S
 
     def start(self) -> None:
         """Start a lane unless one serves.
@@ -87,10 +90,20 @@ class LaneKeeper:
             self._started.append(started)
 
     def end(self) -> None:
-        """End what was started here; a lane that was adopted serves on."""
+        """End the lane that this gate or one before it started.
+
+        Raises:
+            EnvironmentFault: it does not end.
+        """
+        if is_of_gate(self._files.run):
+            end_lane(self._files.run)
         for process in self._started:
             process.terminate()
-            process.wait()
+            try:
+                process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
     def sync(self, done: Callable[[], None]) -> bool:
         """Ask whether every stop that the lane made was heard of; False when none serves.
@@ -131,19 +144,36 @@ class LaneKeeper:
         self._asked_s, is_told = None, False
         listener.lane_silent(is_silent=False)
         while not lost.is_set():
-            if self._asked_s is None:  # one question at a time: a lane that hangs gets no heap
-                self._asked_s = time.monotonic()
-                self.sync(self._answered)
+            if not self._is_asked:  # one question at a time: a lane that hangs gets no heap
+                self._ask_again()
             with suppress(TimeoutError):
                 async with asyncio.timeout(ASK_S):  # `wait_for` can lose a cancellation (3.11)
                     await lost.wait()
-            is_silent = not (self.alive or lost.is_set())
-            if is_silent is not is_told:
-                listener.lane_silent(is_silent=is_silent)
-            is_told = is_silent
+            self._looks += 1
+            waits = self._is_asked and not lost.is_set()
+            if is_told is not (waits and self._looks >= SILENT):
+                is_told = not is_told
+                listener.lane_silent(is_silent=is_told)
+            if waits and self._looks >= REPLACED and listener.settled:
+                self._replace()
+
+    def _replace(self) -> None:
+        """Kill a lane that hangs; its end is noticed, and another one started."""
+        if self._link is not None and self._link.pid is not None:
+            kill(self._link.pid)
+
+    @property
+    def _is_asked(self) -> bool:
+        return self._asked_s is not None
+
+    def _ask_again(self) -> None:
+        self._looks, self._asked_s = 0, time.monotonic()
+        self.sync(self._answered)
 
     def _answered(self) -> None:
-        self._asked_s = None
+        self._answered_s, self._asked_s = self._asked_s or -math.inf, None
+        if time.monotonic() - self._answered_s > ASK_S:  # this process was late, not the lane
+            self._ask_again()
 
     async def _connect(self, listener: Listener, lost: asyncio.Event) -> Callable[[], None]:
         """Return what says that the last stops are recorded, and lets go of the lane."""
@@ -199,20 +229,8 @@ def retire_stale(files: LaneFiles) -> None:
     Raises:
         EnvironmentFault: it does not end.
     """
-    place = files.run / SOCKET
-    if not is_served(place) or _config_of(files) == config_digest(files):
-        return
-    with suppress(OSError, ValueError):
-        os.kill(int((files.run / PID).read_text()), signal.SIGTERM)
-    until = time.monotonic() + RETIRE_S
-    while is_served(place):
-        if time.monotonic() > until:
-            raise EnvironmentFault(
-                "a stop lane serves by another configuration and does not end: end it",
-                reason=Reason.STORE_UNAVAILABLE,
-                where=str(files.run / PID),
-            )
-        time.sleep(RETIRE_S / 100)
+    if is_served(files.run / SOCKET) and _config_of(files) != config_digest(files):
+        end_lane(files.run)
 
 
 def _config_of(files: LaneFiles) -> str | None:

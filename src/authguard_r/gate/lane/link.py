@@ -133,6 +133,7 @@ class LaneLink(asyncio.Protocol):
         self._asked: dict[int, Callable[[], None]] = {}
         self._number = 0
         self.welcome: Welcome | None = None
+        self.pid: int | None = None  # the lane's process, as the kernel says
 
     @property
     def connected(self) -> bool:
@@ -156,17 +157,17 @@ class LaneLink(asyncio.Protocol):
         except OSError as error:
             wire.close()
             raise _unstarted(error.strerror or str(error) or "its queue is full") from error
-        owner = peer_of(line.get_extra_info("socket")).uid
-        if owner != os.geteuid():
+        owner = peer_of(line.get_extra_info("socket"))
+        if owner.uid != os.geteuid():
             line.abort()
             raise AuthenticityError(
-                f"user {owner} serves the stop socket, not the gate's own",
+                f"user {owner.uid} serves the stop socket, not the gate's own",
                 reason=Reason.ROLE_DENIED,
                 where=str(self._path),
             )
         hello = Hello(protocol=PROTOCOL, role=ClientRole.GATE, client="gate")
         line.write(frame(Kind.HELLO, 0, hello))
-        self._line = line
+        self._line, self.pid = line, owner.pid
 
     def heard(self, n: int) -> None:
         """Say that this stop, and no other, is recorded; the lane forgets it."""

@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
         config=Path(asked.config),
     )
     try:
-        run_lane(files, _say)
+        run_lane(files, _say, of_gate=True)
     except AuthGuardError as error:
         _say({"error": {"code": error.reason, "message": error.message, "where": error.where}})
         return 5

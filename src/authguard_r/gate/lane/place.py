@@ -10,8 +10,10 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import signal
 import socket
 import stat
+import time
 from pathlib import Path
 
 from msgspec import Struct
@@ -22,10 +24,15 @@ from authguard_r.core.reasons import Reason
 SOCKET, PID, SPOOL = "stop.sock", "stop-lane.pid", "stops.spool"
 #: Stops that suspend the mission have a file of their own: nobody else's can fill it.
 FIRST_SPOOL = "operator-stops.spool"
+#: Is there while a lane serves that a gate started.
+OF_GATE = "stop-lane.of-gate"
 #: Holds the name of the last lane that served here.
 EPOCH = "stop-lane.epoch"
 #: Connections that wait to be taken.
 _QUEUE = 1_024
+#: A lane that is told to end is gone within this, in seconds; then it is killed.
+_END_S = 5.0
+_LOOK_S = 0.02
 
 
 class Place(Struct, frozen=True, kw_only=True):
@@ -42,11 +49,15 @@ class Place(Struct, frozen=True, kw_only=True):
     lock: int
 
 
-def take_place(run: Path) -> Place:
+def take_place(run: Path, *, of_gate: bool = False) -> Place:
     """Return the run folder's stop socket, listening, and held against a second lane.
 
     A socket that nobody serves any more is replaced. The folder decides who reaches the socket:
     its group may connect (mode 0660), and who is in it is asked of the kernel.
+
+    Args:
+        run: the folder.
+        of_gate: a gate started the lane, and a gate that ends ends it.
 
     Raises:
         EnvironmentFault: a lane serves here already, or the folder cannot be used.
@@ -60,6 +71,7 @@ def take_place(run: Path) -> Place:
         )
     try:
         lock = _hold(run / PID)
+        _mark(run / OF_GATE, of_gate=of_gate)
     except OSError as error:
         raise _unusable(error, run / PID) from error
     if is_served(path):
@@ -75,9 +87,50 @@ def take_place(run: Path) -> Place:
 def leave_place(place: Place) -> None:
     """Remove the socket and the file with the process's number."""
     place.listener.close()
-    for name in (SOCKET, PID):
+    for name in (SOCKET, OF_GATE, PID):
         (place.run / name).unlink(missing_ok=True)
     os.close(place.lock)
+
+
+def end_lane(run: Path) -> None:
+    """End the lane that serves there: ask it to, and kill it when it hangs.
+
+    Raises:
+        EnvironmentFault: it is not the caller's to end, or it serves on.
+    """
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
+        pid = int((run / PID).read_text())
+        for number, until in ((signal.SIGTERM, _END_S), (signal.SIGKILL, _END_S)):
+            _send(pid, number)
+            ended = time.monotonic() + until
+            while is_served(run / SOCKET) and time.monotonic() < ended:
+                time.sleep(_LOOK_S)
+    if is_served(run / SOCKET):
+        raise EnvironmentFault(
+            "a stop lane serves here and does not end: end it",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(run / PID),
+        )
+
+
+def is_of_gate(run: Path) -> bool:
+    """True when a lane serves there that a gate started, this one or one before."""
+    return is_served(run / SOCKET) and (run / OF_GATE).exists()
+
+
+def kill(pid: int) -> None:
+    """Kill a process that hangs, a stopped one, too."""
+    with contextlib.suppress(OSError):
+        _send(pid, signal.SIGKILL)
+
+
+def _send(pid: int, number: signal.Signals) -> None:
+    """Send a signal to the process that has this number now, and to no later one."""
+    process = os.pidfd_open(pid)
+    try:
+        signal.pidfd_send_signal(process, number)
+    finally:
+        os.close(process)
 
 
 def is_served(path: Path) -> bool:
@@ -91,6 +144,13 @@ def is_served(path: Path) -> bool:
         except OSError:
             return False
     return True
+
+
+def _mark(path: Path, *, of_gate: bool) -> None:
+    if of_gate:
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644))
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _hold(path: Path) -> int:

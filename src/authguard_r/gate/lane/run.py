@@ -38,6 +38,8 @@ CONFIG = "stop-lane.config"
 #: `mlockall(2)`: what is in memory stays there.
 _MCL_CURRENT = 1
 _NICE = -10
+#: Grows with what a lane understands: one of before is known by it, too, and ended.
+_UNDERSTOOD = b"2"
 
 
 class LaneFiles(Struct, frozen=True, kw_only=True):
@@ -118,7 +120,11 @@ def is_given(ask: Callable[[], object]) -> bool:
 
 
 def run_lane(
-    files: LaneFiles, ready: Callable[[Ready], None], favor: Callable[[], Favor] = ask_favor
+    files: LaneFiles,
+    ready: Callable[[Ready], None],
+    favor: Callable[[], Favor] = ask_favor,
+    *,
+    of_gate: bool = False,
 ) -> None:
     """Serve the run folder's stop socket until SIGTERM or SIGINT; the main thread's work.
 
@@ -126,6 +132,7 @@ def run_lane(
         files: what it is started with.
         ready: called once clients can connect.
         favor: asks the machine to favor this process.
+        of_gate: a gate started it, and a gate that ends ends it.
 
     Raises:
         EnvironmentFault: a file is missing, or a lane serves there already.
@@ -133,7 +140,7 @@ def run_lane(
         AuthenticityError: key, certificate or configuration do not hold, or are another robot's.
     """
     signer, config = _read(files)
-    place = take_place(files.run)
+    place = take_place(files.run, of_gate=of_gate)
     woken, waking = socket.socketpair()
     try:
         waking.settimeout(0)
@@ -170,7 +177,7 @@ def config_digest(files: LaneFiles) -> str:
     Raises:
         EnvironmentFault: the configuration cannot be read.
     """
-    return sha256(read_file(files.config)).hexdigest()
+    return sha256(read_file(files.config) + _UNDERSTOOD).hexdigest()
 
 
 def say_to_stderr(line: bytes) -> None:

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`authguard stop`: brake and hold, until somebody confirms it."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from contextlib import suppress
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from authguard_r.cli.gateway import CLIENT, GATE_SOCKET, STOP_SOCKET, GateOption, socket_in
+from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.offline import CounterOption
+from authguard_r.cli.out import emit
+from authguard_r.cli.run import stop_command as stop_store
+from authguard_r.client.stopping import Answers, StopEverywhere
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.wire.messages import ClientRole
+
+
+class Stopping(StrEnum):
+    """What may stop at a lane, in the order in which a stop without `--role` tries them."""
+
+    OPERATOR = "operator"
+    AUDITOR = "auditor"
+    PLANNER = "planner"
+    ESTIMATOR = "estimator"
+
+
+def stop_command(
+    gate: GateOption = None,
+    role: Annotated[
+        Stopping | None,
+        typer.Option("--role", help="The role to stop as (default: the first that you may be)."),
+    ] = None,
+    why: Annotated[str, typer.Option("--why", help="For the log; decides nothing.")] = "",
+    store: Annotated[
+        Path | None, typer.Option("--store", help="Stop a store's mission; no gate is reached.")
+    ] = None,
+    trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="Which gate, for --store.")] = None,
+    counter: CounterOption = None,
+    as_json: JsonFlag = False,
+) -> int:
+    """Brake and hold, through the stop process and the gate; with --store, only record it there.
+
+    It tries on until one of them confirms that the robot stands; Ctrl-C gives up. An operator's
+    stop suspends the active mission until a signed `resume`. Without --role it is the first of
+    operator, auditor, planner and estimator that this user may be. Exit 5 says that nobody
+    confirmed that the robot stands.
+    """
+    if store is not None:
+        if gate is not None or trust is None or site is None:
+            raise typer.BadParameter("takes --trust and --site, not --gate", param_hint="--store")
+        return stop_store(trust, site, store, robot, counter, as_json)
+    roles = [ClientRole(name) for name in (Stopping if role is None else (role,))]
+    stop = StopEverywhere(_folder(gate), roles=roles, why=why, client=CLIENT)
+    try:
+        reached = asyncio.run(stop.confirmed(lambda _: None if as_json else _tell(stop.answers)))
+    except KeyboardInterrupt:
+        return _given_up(stop.answers, as_json=as_json)
+    said = {**msgspec.to_builtins(reached.answer), "role": str(reached.role)}
+    said |= _silent(stop.answers)
+    emit(said, _stop_lines(said), as_json=as_json)
+    return 0 if said["stopped"] else 5
+
+
+def _folder(gate: Path | None) -> Path:
+    """Return the run folder; the machine's only one has either socket."""
+    try:
+        return socket_in(gate, STOP_SOCKET).parent
+    except EnvironmentFault:
+        return socket_in(gate, GATE_SOCKET).parent
+
+
+def _tell(answers: Answers) -> None:
+    """Say who has not answered, if anybody can read it: nothing keeps a stop from going on."""
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(_waits(answers))
+        sys.stderr.flush()
+
+
+def _stop_lines(said: dict[str, Any]) -> list[str]:
+    if said.get("stopped") is True:
+        line = f"stopped: the robot stands after {said.get('after_ms')} ms"
+    elif said.get("controller") is True:
+        line = "NOT CONFIRMED: the controller was told to stop and did not say that it stands"
+    else:
+        line = "NOT CONFIRMED: no controller is connected"
+    told = [f"{line}; {_follows(str(said.get('role')))}"]
+    return told + [f"{part} did not answer" for part in said.get("silent") or []]
+
+
+def _follows(role: str) -> str:
+    """Return what a stop in a role means for the mission."""
+    if role != Stopping.OPERATOR:
+        article = "an" if role[:1] in "aeiou" else "a"
+        return f"recorded as {article} {role}'s stop"
+    return (
+        "a mission that was active is suspended until `authguard resume`; "
+        "one that was closing is over"
+    )
+
+
+def _waits(answers: Answers) -> str:
+    """Return what is told once a second while nobody confirms the stop."""
+    told = "; ".join(_missing(answers))
+    return f"not confirmed yet, trying again (Ctrl-C gives up); {told}\n"
+
+
+def _missing(answers: Answers) -> list[str]:
+    """Return which part did not answer, and why, for people."""
+    return [
+        f"{part.words}: {one.why or 'it does not answer'}"
+        for part, one in answers.items()
+        if one.answer is None
+    ]
+
+
+def _silent(answers: Answers) -> dict[str, Any]:
+    """Return which parts serve and did not answer, if any."""
+    silent = [
+        part.words
+        for part, one in answers.items()
+        if one.answer is None and not (one.is_over or one.is_gone)
+    ]
+    return {"silent": silent} if silent else {}
+
+
+def _given_up(answers: Answers, *, as_json: bool) -> int:
+    """Say that a person gave up before anybody confirmed the stop, and who did not answer."""
+    told = [one.answer for one in answers.values() if one.answer is not None]
+    controller = any(answer.controller for answer in told)
+    said = {"stopped": False, "controller": controller, "after_ms": None, "role": None}
+    lines = ["NOT CONFIRMED: given up", *_missing(answers)]
+    emit({**said, **_silent(answers)}, lines, as_json=as_json)
+    return 5
