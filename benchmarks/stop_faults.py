@@ -139,7 +139,7 @@ def told(samples: list[dict[str, Any]]) -> dict[str, Any]:
 def show(found: dict[str, Any], trials: int) -> None:
     """Print the table of the documents: medians, and the worst in brackets."""
     heads = ("fault", "stands after, ms", "way, mm", "answer after, ms", "confirmed")
-    heads += ("named as not answering", "stops lost")
+    heads += ("named as not confirming", "stops lost")
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     for name, one in found.items():
         values = (one[key] for key in ("stands_ms", "way_mm", "answered_ms"))
@@ -152,10 +152,12 @@ def main() -> int:
     """Measure, print a table, write what was asked for."""
     asks = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     asks.add_argument("--trials", type=int, default=50)
+    asks.add_argument("--fault", choices=[*FAULTS, GONE, DISK], help="this one alone")
     asks.add_argument("--json", type=Path)
     given = asks.parse_args()
     samples: dict[str, list[dict[str, Any]]] = {}
-    with yards() as faults:
+    with yards() as found_yards:
+        faults = {n: one for n, one in found_yards.items() if given.fault in {None, n}}
         renew_ms = next(iter(faults.values()))[0].gate.config.renew_within_ms
         for number in range(given.trials):
             for name, (yard, fault) in faults.items():

@@ -32,6 +32,7 @@ from authguard_r.cli.attend import status_lines
 from authguard_r.cli.exposition import exposition
 from authguard_r.cli.gateway import RUNS, only_run
 from authguard_r.cli.watch import event_line, picture
+from authguard_r.client import stopping
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
@@ -399,8 +400,14 @@ def test_at_a_terminal_watch_draws_status_and_events_together(program: Any) -> N
     ],
 )
 def test_stop_goes_through_the_lane_and_says_whether_the_robot_stands(
-    shell: Shell, said: dict[str, Any], code: int, words: str
+    shell: Shell,
+    said: dict[str, Any],
+    code: int,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(stopping, "TOLD_S", 0.2)
+    monkeypatch.setattr(stopping, "GONE_S", 0.2)
     seen: list[Any] = []
     with listening(serving({Kind.STOP: said}, seen), "stop.sock") as path:
         got, text = shell("stop", "--gate", path.parent, "--why", "a child")

@@ -61,7 +61,7 @@ class Asked:
         self.reached = reached
 
     def _tell(self, answers: Answers) -> None:
-        self.told += [part.words for part, one in answers.items() if one.answer is None]
+        self.told += [part.words for part, one in answers.items() if not one.has_stopped]
 
 
 @contextmanager

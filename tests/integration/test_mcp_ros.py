@@ -8,11 +8,13 @@ makes; `AUTHGUARD_ROS_MCP` names its folder. Source: lessons L1, L16; docs/spec/
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import json
 import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import mcp_types as types
@@ -37,17 +39,22 @@ SERVER = ("ros-mcp", "--transport", "stdio")
 
 @pytest.fixture
 def arrived(tmp_path: Path) -> Iterator[Path]:
-    """Serve a rosbridge where ros-mcp looks for one; yield the file of what arrives."""
+    """Serve a rosbridge where ros-mcp looks for one; yield the file of what arrives.
+
+    Its port is always the same one: tests that run side by side wait for each other.
+    """
     file = tmp_path / "arrived.jsonl"
     file.touch()
     words = [BIN / "python", scenarios.ROOT / "tests" / "programs" / "rosbridge_server.py", file]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "9090\n"
-            yield file
-        finally:
-            process.terminate()
+    with (Path(gettempdir()) / "authguard-rosbridge.lock").open("w") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+            try:
+                assert process.stdout is not None
+                assert process.stdout.readline() == "9090\n"
+                yield file
+            finally:
+                process.terminate()
 
 
 @pytest.fixture

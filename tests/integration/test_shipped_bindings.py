@@ -20,6 +20,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Mission, require_schema
+from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
@@ -41,6 +42,7 @@ from fixtures import scenarios
 
 WORDS = standard_words()
 RID = "robot-1"
+DAY_MS = 86_400_000
 ROOMS = ("room-1", "room-2", "room-3")
 #: Types that need something in the hand.
 HANDS = {"place", "put_in", "drop", "throw", "pour"}
@@ -165,8 +167,8 @@ def granted(name: str, actions: list[Action]) -> Mission:
         "regions": list(ROOMS),
         "limits": [],
         "guards": [],
-        "not_before": "2026-01-15T00:00:00Z",
-        "expiry": "2027-01-15T00:00:00Z",
+        "not_before": to_timestamp(scenarios.START_MS - DAY_MS),
+        "expiry": to_timestamp(scenarios.START_MS + DAY_MS),
         "place_max_age_ms": 1_000,
         "nonce": b64(bytes(16)),
         "risk_policy": {

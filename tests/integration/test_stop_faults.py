@@ -7,6 +7,7 @@ Real processes; the mule has brakes. Each fault again and again, and how far the
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -19,6 +20,7 @@ from typing import Any
 
 import pytest
 
+from authguard_r.client import AsyncGateClient, GateClient, stopping
 from authguard_r.commands import Verb
 from authguard_r.gate.braking import PATIENCE_MS
 from authguard_r.gate.lane.keeper import WITHIN_S
@@ -45,6 +47,12 @@ from integration.test_gate_bounds import (  # noqa: F401 - fixtures
 from integration.test_gate_watching import GO
 
 WITHIN_MS = round(WITHIN_S * 1_000)
+
+
+@pytest.fixture(autouse=True)
+def slow_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give a robot that starts anew longer than a person would wait: others load the machine."""
+    monkeypatch.setattr(stopping, "GONE_S", 30.0)
 
 
 def stops(at: Yard, why: str) -> list[Told]:
@@ -80,8 +88,7 @@ def test_a_stop_is_carried_out_and_recorded_once_whatever_hangs_or_dies(
         reached = asked.confirmed()
         assert reached.answer is not None
         assert reached.role is ClientRole.OPERATOR
-        # where all had to start anew, no robot was connected yet: it stood by itself
-        assert reached.answer.stopped or name == "both are killed"
+        assert reached.answer.stopped
         assert len(stops(yard, name)) == 1
         until(lambda: is_suspended(yard), "the suspension")
         trail.stays()
@@ -199,6 +206,122 @@ def test_a_stop_process_of_a_killed_gate_ends_with_the_next_one(yard: Yard) -> N
     serves(gate)
 
 
+# asked for again
+
+
+def confirmations(at: Yard) -> list[Told]:
+    """Return the records that say that a person's stop was confirmed which nobody had confirmed."""
+    found = [r for r in at.gate.news() if r.kind == "stop" and r.open.get("confirms")]
+    return [r for r in found if str(r.open["by"]).endswith(".hand")]
+
+
+def test_a_stop_that_nobody_confirms_is_asked_for_until_the_robot_says_that_it_stands(
+    yard: Yard,  # noqa: F811
+) -> None:
+    """Its controller hangs for longer than one try: the log has the stop once, and its end."""
+    serves(yard.gate)
+    with yard.mission(), frozen(yard.gate._started["robot"].pid):
+        asked = Asked(yard.gate.run, "hangs")
+        (first,) = stops(yard, "hangs")
+        assert first.open["stood_ms"] == -1
+        time.sleep(2)  # several tries
+        assert asked.reached is None
+        assert {"the stop process", "the gate"} <= set(asked.told)
+        os.kill(yard.gate._started["robot"].pid, signal.SIGCONT)
+        assert asked.confirmed().has_stopped
+        (end,) = until(lambda: confirmations(yard), "the record of its end")
+        assert end.open["by"] == first.open["by"]
+        assert end.open["stood_ms"] >= 0
+        assert len(stops(yard, "hangs")) == 1
+        assert is_suspended(yard)
+    serves(yard.gate)
+
+
+def test_a_person_is_told_that_the_robot_does_not_say_that_it_stands_and_then_that_it_does(
+    yard: Yard,  # noqa: F811
+) -> None:
+    serves(yard.gate)
+    words = authguard("stop", "--gate", yard.gate.run, "--why", "slow", measured=False)
+    with yard.mission(), frozen(yard.gate._started["robot"].pid):
+        begun_ms = now_ms()
+        hand = subprocess.Popen(
+            words,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(measured=False),
+        )
+        assert hand.stderr is not None
+        line = next(text for text in hand.stderr if "the gate: it told the controller" in text)
+        os.kill(yard.gate._started["robot"].pid, signal.SIGCONT)
+        out, _ = hand.communicate(timeout=60)
+    assert "which does not say that the robot stands" in line
+    assert hand.returncode == 0
+    after_ms = int(out.partition("stands after ")[2].split()[0])
+    assert 1_000 <= after_ms <= now_ms() - begun_ms  # since the person asked
+    serves(yard.gate)
+
+
+def test_a_robot_that_comes_back_in_time_confirms_the_stop(yard: Yard) -> None:  # noqa: F811
+    serves(yard.gate)
+    with yard.mission():
+        yard.gate.stop_process("robot")
+        asked = Asked(yard.gate.run, "away")
+        until(lambda: asked.told, "a first answer")
+        yard.gate.start_robot()
+        assert asked.confirmed().has_stopped
+        assert len(stops(yard, "away")) == 1
+        until(lambda: is_suspended(yard), "the suspension")
+    serves(yard.gate)
+
+
+def test_who_asks_on_stops_a_mission_again_that_was_resumed_meanwhile(yard: Yard) -> None:  # noqa: F811
+    serves(yard.gate)
+    with yard.mission(), frozen(yard.gate._started["robot"].pid):
+        asked = Asked(yard.gate.run, "still")
+        until(lambda: is_suspended(yard), "the suspension")
+        yard.order(Verb.RESUME)
+        until(lambda: is_suspended(yard), "the next one")
+        os.kill(yard.gate._started["robot"].pid, signal.SIGCONT)
+        assert asked.confirmed().has_stopped
+    serves(yard.gate)
+
+
+# a client that is connected
+
+
+@pytest.mark.parametrize("name", ["stop.sock", "gate.sock"])
+@pytest.mark.parametrize("face", ["blocking", "looping"])
+def test_a_client_stops_by_the_other_part_while_its_own_hangs(
+    yard: Yard,  # noqa: F811
+    name: str,
+    face: str,
+) -> None:
+    gate, why = yard.gate, f"{face} {name}"
+    serves(gate)
+    path, role = gate.run / name, ClientRole.OPERATOR
+
+    async def looping(pid: int) -> Any:
+        async with await AsyncGateClient.connect(path, role=role, client="hand") as client:
+            with frozen(pid):
+                return await client.stop(why)
+
+    with yard.walk() as (walk, trail):
+        pid = lane_of(gate) if name == "stop.sock" else gate.pid
+        asked_ms = now_ms()
+        if face == "looping":
+            said = asyncio.run(looping(pid))
+        else:
+            with GateClient.connect(path, role=role, client="hand") as client, frozen(pid):
+                said = client.stop(why)
+        assert (said["stopped"], said["controller"]) == (True, True)
+        within(yard, trail.rest(asked_ms), WITHIN_MS)
+        assert len(stops(yard, why)) == 1
+        walk.planner_dies()
+    serves(gate)
+    assert len(stops(yard, why)) == 1
+
+
 # stops at the gate itself
 
 
@@ -279,6 +402,17 @@ def test_a_gate_without_a_controller_says_so_at_once() -> None:
         assert (said["stopped"], said["controller"]) == (False, False)
         assert said["after_ms"] < PATIENCE_MS
         until(lambda: [r for r in gate.records() if r.kind == "stop"], "its record")
+        done = subprocess.run(
+            authguard("stop", "--gate", gate.run, measured=False),
+            check=False,
+            capture_output=True,
+            text=True,
+            env=environment(measured=False),
+            timeout=60,
+        )
+        assert done.returncode == 5
+        assert "the stop process: no controller is connected to it" in done.stderr
+        assert "NOT CONFIRMED: no controller is connected" in done.stdout
 
 
 # one name for two ways

@@ -168,7 +168,8 @@ def test_l30_a_mistyped_store_is_not_reached_and_not_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("m.token").write_bytes(scenarios.token())
+    # the commands go by the machine's clock
+    Path("m.token").write_bytes(scenarios.token(scenarios.mission(window={"for": "20 h"})))
     site = str(scenarios.ROOT / "examples" / "hospital" / "site.yaml")
     at = ["--trust", str(scenarios.trust_folder()), "--site", site]
     at += ["--robot", scenarios.RID, "--store", "mistyped.db", "--json"]

@@ -56,6 +56,11 @@ def asked(graph: Graph, order: int, name: str = "planner") -> Goal:
     return Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=order))
 
 
+def briefly(gate: RunningGate) -> GateClient:
+    """Return a client that stops, and does not wait for long for a robot that does not stand."""
+    return GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER, timeout_ms=1_500)
+
+
 def outcomes(gate: RunningGate) -> list[str]:
     return [one.decision for one in gate.news() if one.kind == "outcome"]
 
@@ -461,7 +466,7 @@ def test_a_robot_that_refuses_to_cancel_does_not_stand_and_is_asked_until_it_yie
     arm.yields = False
     goal = asked(graph, 3)
     assert goal.accepted
-    with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
+    with briefly(gate) as lane:
         assert lane.stop()["stopped"] is False
         until(lambda: outcomes(gate) == ["unknown"], "the outcome")
         assert goal.result().status == GoalStatus.STATUS_ABORTED
@@ -529,7 +534,7 @@ def test_a_robot_that_is_gone_in_mid_goal_counts_as_standing_only_when_it_says_s
         assert goal.accepted
         robot.kill()
         robot.wait()
-        with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
+        with briefly(gate) as lane:
             assert lane.stop()["stopped"] is False
             assert goal.result().status == GoalStatus.STATUS_ABORTED
             until(lambda: outcomes(gate) == ["unknown"], "the outcome")

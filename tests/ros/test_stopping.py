@@ -18,7 +18,7 @@ import pytest
 pytest.importorskip("rclpy", reason="an environment with ROS runs these (tests/ros/make.sh)")
 
 from authguard_r.ros.nodes import actuator, deadman
-from fixtures.ros_processes import Actor, Driving, Line, Robot, Watched, move
+from fixtures.ros_processes import Actor, Driving, Line, Robot, Watched, move, move_by_relay
 
 #: From a fault to a base that stands and a goal that is canceled, in milliseconds.
 SOON_MS = 1_000.0
@@ -333,9 +333,7 @@ def test_a_relay_stands_before_a_base_that_knows_nothing_of_us(watched: Watched)
     robot = watched.robot
     wheels = robot.start("wheels", "/base/cmd_vel")
     relay, gate = robot.run("actuator", "move", "/base/cmd_vel"), robot.start("gate")
-    relay.says("moves")
-    gate.tell("drive 0.3")
-    wheels.velocity(0.3)
+    move_by_relay(wheels, relay, gate)
     begun = gate.send(signal.SIGKILL)
     stopped = wheels.velocity(0.0, after=begun)
     assert (stopped["ns"] - begun) / 1e6 < SOON_MS

@@ -18,7 +18,7 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.offline import CounterOption
 from authguard_r.cli.out import emit
 from authguard_r.cli.run import stop_command as stop_store
-from authguard_r.client.stopping import Answers, StopEverywhere
+from authguard_r.client.stopping import Answers, Reached, StopEverywhere
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.wire.messages import ClientRole
 
@@ -50,10 +50,11 @@ def stop_command(
 ) -> int:
     """Brake and hold, through the stop process and the gate; with --store, only record it there.
 
-    It tries on until one of them confirms that the robot stands; Ctrl-C gives up. An operator's
-    stop suspends the active mission until a signed `resume`. Without --role it is the first of
-    operator, auditor, planner and estimator that this user may be. Exit 5 says that nobody
-    confirmed that the robot stands.
+    It asks on until one of them confirms that the robot stands; Ctrl-C gives up. It gives up by
+    itself when a controller was told to stop and does not confirm it within 10 s, or when none is
+    connected for 5 s. An operator's stop suspends the active mission until a signed `resume`.
+    Without --role it is the first of operator, auditor, planner and estimator that this user may
+    be. Exit 5 says that nobody confirmed that the robot stands.
     """
     if store is not None:
         if gate is not None or trust is None or site is None:
@@ -115,21 +116,22 @@ def _waits(answers: Answers) -> str:
 
 
 def _missing(answers: Answers) -> list[str]:
-    """Return which part did not answer, and why, for people."""
-    return [
-        f"{part.words}: {one.why or 'it does not answer'}"
-        for part, one in answers.items()
-        if one.answer is None
-    ]
+    """Return what each part has not done yet, for people."""
+    return [f"{part.words}: {_why(one)}" for part, one in answers.items() if not one.has_stopped]
+
+
+def _why(one: Reached) -> str:
+    """Return why a part has not confirmed the stop."""
+    if one.why or one.hangs or one.answer is None:
+        return one.why or "it does not answer"
+    if one.has_told:
+        return "it told the controller to stop, which does not say that the robot stands"
+    return "no controller is connected to it"
 
 
 def _silent(answers: Answers) -> dict[str, Any]:
     """Return which parts serve and did not answer, if any."""
-    silent = [
-        part.words
-        for part, one in answers.items()
-        if one.answer is None and not (one.is_over or one.is_gone)
-    ]
+    silent = [part.words for part, one in answers.items() if one.hangs]
     return {"silent": silent} if silent else {}
 
 

@@ -14,11 +14,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import msgspec
+
 from authguard_r.client.greeting import GateVerifier, Greeting, Speaks
 from authguard_r.client.line import Line
 from authguard_r.client.questions import asking, read_questions, signed_answer, the_one
 from authguard_r.client.session import OnEvent, Sent, answer_of, done_of, unreachable
 from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unanswered
+from authguard_r.client.stopping import stop_of, stopped_of
 from authguard_r.core.approval import Verdict
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Signer
@@ -36,6 +39,7 @@ from authguard_r.wire.messages import (
     Propose,
     Records,
     Stop,
+    Stopped,
     Welcome,
 )
 from authguard_r.wire.questions import Question
@@ -49,11 +53,13 @@ class AsyncGateClient:
 
     Args:
         line: the connection.
+        path: the socket that it leads to.
         timeout_ms: longest time to wait for an answer.
     """
 
-    def __init__(self, line: Line, *, timeout_ms: int) -> None:
+    def __init__(self, line: Line, *, path: Path, timeout_ms: int) -> None:
         self._line = line
+        self._path = path
         self._session = line.session
         self._timeout_ms = timeout_ms
 
@@ -83,10 +89,10 @@ class AsyncGateClient:
             speaks=speaks,
         )
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        made = cls(Line(begin(greeting), wire), timeout_ms=timeout_ms)
+        made = cls(Line(begin(greeting), wire), path=path, timeout_ms=timeout_ms)
         try:
             async with asyncio.timeout(timeout_ms / 1_000):
-                await made._open(path, wire)
+                await made._open(wire)
         except TimeoutError as error:
             made._close(wire)
             raise late(timeout_ms) from error
@@ -241,15 +247,28 @@ class AsyncGateClient:
         return self._events(sent.number, idle_ms)
 
     async def stop(self, why: str = "") -> dict[str, Any]:
-        """Brake and hold, at once, by this connection alone; `client.stop_robot` takes every way.
+        """Brake and hold: over this connection, and by the other part of this gate at once.
+
+        It asks on until the robot stands. It gives up when the client's `timeout_ms` is over, when
+        a controller does not say so within 10 s, or when none is connected for 5 s.
 
         Args:
             why: for the log; decides nothing.
 
         Returns:
             Whether a controller was there and said that the robot stands, and after how long.
+
+        Raises:
+            AuthGuardError: nobody has answered in time.
         """
-        return await self.ask(Kind.STOP, Stop(why=why))
+
+        async def ask(stop: Stop) -> Stopped:
+            return stopped_of(await self.ask(Kind.STOP, stop))
+
+        stop = stop_of(self._path, self._session, ask, why)
+        reached = await stop.confirmed(within_ms=self._timeout_ms)
+        said: dict[str, Any] = msgspec.to_builtins(reached.answer)
+        return said
 
     async def send(self, kind: Kind, message: object, *, number: int | None = None) -> int:
         """Send a message without waiting for an answer; one that comes is among `frames`.
@@ -296,12 +315,12 @@ class AsyncGateClient:
     ) -> None:
         await self.close()
 
-    async def _open(self, path: Path, wire: socket.socket) -> None:
+    async def _open(self, wire: socket.socket) -> None:
         loop = asyncio.get_running_loop()
         try:
-            await reach(wire, path)
+            await reach(wire, self._path)
         except (OSError, ValueError) as error:
-            raise unanswered(error, path) from error
+            raise unanswered(error, self._path) from error
         await loop.create_unix_connection(lambda: self._line, sock=wire)
         await self._line.write(self._session.hello())
         while self._session.welcome is None:

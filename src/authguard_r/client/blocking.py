@@ -14,6 +14,7 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, Self
 
+from authguard_r.client.blocking_stop import OwnLine, stop_now
 from authguard_r.client.greeting import GateVerifier, Greeting
 from authguard_r.client.questions import asking, read_questions, signed_answer, the_one
 from authguard_r.client.session import (
@@ -45,7 +46,6 @@ from authguard_r.wire.messages import (
     Propose,
     Records,
     Sample,
-    Stop,
     Welcome,
 )
 from authguard_r.wire.questions import Question
@@ -60,11 +60,15 @@ class GateClient:
     Args:
         line: a connected socket; it belongs to the client from now on.
         session: fresh, made for this connection.
+        path: the socket that it leads to.
         timeout_ms: longest time to wait for an answer.
     """
 
-    def __init__(self, line: socket.socket, session: Session, *, timeout_ms: int) -> None:
+    def __init__(
+        self, line: socket.socket, session: Session, *, path: Path, timeout_ms: int
+    ) -> None:
         self._line = line
+        self._path = path
         self._session = session
         self._timeout_ms = timeout_ms
         self._streams: dict[Digest, int] = {}
@@ -106,9 +110,9 @@ class GateClient:
             allow_shadow=allow_shadow,
         )
         line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        made = cls(line, begin(greeting), timeout_ms=timeout_ms)
+        made = cls(line, begin(greeting), path=path, timeout_ms=timeout_ms)
         try:
-            made._open(path)
+            made._open()
         except BaseException:
             made.close()
             raise
@@ -300,15 +304,22 @@ class GateClient:
         return self._events(sent.number, idle_ms)
 
     def stop(self, why: str = "") -> dict[str, Any]:
-        """Brake and hold, at once, by this connection alone; `client.stop_robot` takes every way.
+        """Brake and hold: over this connection, and by the other part of this gate at once.
+
+        It asks on until the robot stands. It gives up when the client's `timeout_ms` is over, when
+        a controller does not say so within 10 s, or when none is connected for 5 s.
 
         Args:
             why: for the log; decides nothing.
 
         Returns:
             Whether a controller was there and said that the robot stands, and after how long.
+
+        Raises:
+            AuthGuardError: nobody has answered in time.
         """
-        return self._quick(Kind.STOP, Stop(why=why))
+        own = OwnLine(self._line, self._session)
+        return stop_now(self._path, own, why=why, within_ms=self._timeout_ms)
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -326,24 +337,24 @@ class GateClient:
     ) -> None:
         self.close()
 
-    def _open(self, path: Path) -> None:
+    def _open(self) -> None:
         deadline = _deadline(self._timeout_ms)
         try:
-            self._reach(path, monotonic() + self._timeout_ms / 1_000)
+            self._reach(monotonic() + self._timeout_ms / 1_000)
         except (OSError, ValueError) as error:
-            raise unanswered(error, path) from error
+            raise unanswered(error, self._path) from error
         self._send(self._session.hello(), deadline)
         while self._session.welcome is None:
             self._session.require_open()
             self._receive(deadline, self._timeout_ms)
         self._session.require_open()
 
-    def _reach(self, path: Path, until: float) -> None:
+    def _reach(self, until: float) -> None:
         """Connect; a socket whose queue is full is tried again."""
         self._line.settimeout(0)
         while True:
             try:
-                self._line.connect(str(path))
+                self._line.connect(str(self._path))
             except BlockingIOError:
                 if monotonic() >= until:
                     raise

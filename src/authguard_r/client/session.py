@@ -76,7 +76,8 @@ class _Exchange:
 class Session:
     """The client's side of one connection.
 
-    `welcome` is the gate's, once it is believed; `broken` is why nothing goes on.
+    `greeting` is what it says and demands first; `welcome` is the gate's, once it is believed;
+    `broken` is why nothing goes on.
 
     Args:
         greeting: who the client is and what it demands of the gate.
@@ -89,7 +90,7 @@ class Session:
         self.broken: AuthGuardError | None = None
         #: Estimators: the gate's newest fence that has come; 0 before the first.
         self.fence = 0
-        self._greeting = greeting
+        self.greeting = greeting
         self._nonce = nonce
         self._now = now
         self._reader = FrameReader(self._bound)
@@ -101,7 +102,7 @@ class Session:
 
     def hello(self) -> bytes:
         """Return the first message's bytes."""
-        return frame(Kind.HELLO, 0, hello(self._greeting, self._nonce))
+        return frame(Kind.HELLO, 0, hello(self.greeting, self._nonce))
 
     def request(self, kind: Kind, message: object, *, stays: bool = False) -> Sent:
         """Return a request to send; its answer is taken by its number.
@@ -203,7 +204,7 @@ class Session:
 
     def _sent(self, kind: Kind, message: object, number: int | None = None) -> Sent:
         self.require_open()
-        role = self._greeting.role
+        role = self.greeting.role
         if kind not in MAY[role]:
             raise AuthenticityError(
                 f"a client in the role `{role}` may not ask `{kind.name.lower()}`",
@@ -224,7 +225,7 @@ class Session:
     def _bound(self, kind: int) -> int:
         """Return the longest body of what a gate may send to this role."""
         if kind in PUSHED:
-            return _SHORT if self._greeting.role is ClientRole.CONTROLLER else 0
+            return _SHORT if self.greeting.role is ClientRole.CONTROLLER else 0
         return MAX_ANSWER if kind == Kind.EVENT else _ANSWERS.get(kind, 0)  # type: ignore[call-overload]
 
     def _route(self, item: Frame) -> None:
@@ -247,16 +248,16 @@ class Session:
         if item.kind is not Kind.WELCOME:
             raise MalformedError(f"expected a welcome, got {item.kind.name}", where="frame.kind")
         welcome = read_body(item.body, Welcome)
-        require_welcome(welcome, self._greeting, nonce=self._nonce, now=self._now())
+        require_welcome(welcome, self.greeting, nonce=self._nonce, now=self._now())
         self.welcome = welcome
 
     @property
     def _is_estimator(self) -> bool:
-        return self._greeting.role is ClientRole.ESTIMATOR
+        return self.greeting.role is ClientRole.ESTIMATOR
 
     def _is_told(self, item: Frame) -> bool:
         """True for an event without a request: only machines take such."""
-        return item.kind is Kind.EVENT and item.id == 0 and self._greeting.role in _TOLD
+        return item.kind is Kind.EVENT and item.id == 0 and self.greeting.role in _TOLD
 
     def _answer(self, item: Frame) -> None:
         exchange = self._exchanges.get(item.id)

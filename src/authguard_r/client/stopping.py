@@ -9,17 +9,21 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from enum import StrEnum
+from functools import partial
+from math import inf
 from pathlib import Path
+from time import monotonic
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from authguard_r.client.greeting import GateVerifier, Greeting
 from authguard_r.client.line import Line
-from authguard_r.client.session import answer_of, unreachable
-from authguard_r.client.start import begin, fresh, reach, unanswered
+from authguard_r.client.session import Session, answer_of, unreachable
+from authguard_r.client.start import begin, fresh, late, reach, unanswered
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -28,16 +32,22 @@ from authguard_r.core.errors import (
 )
 from authguard_r.core.identifiers import Identifier, RobotId
 from authguard_r.core.reasons import Reason
-from authguard_r.wire.messages import ClientRole, Kind, Stop, Stopped
+from authguard_r.wire.messages import MAX_WHY, ClientRole, Kind, Stop, Stopped
 
 #: A part that cannot be reached is tried again after this long, in seconds.
 AGAIN_S = 0.1
 #: Whoever waits is told this often what does not answer, in seconds.
 TELL_S = 1.0
-#: A part that hangs is waited for so long after the other one has answered, in seconds.
-PATIENCE_S = 2.0
-#: A folder without sockets for so long has no gate, in seconds.
+#: A part that did not confirm the stop is asked again after this long, in seconds.
+REPEAT_S = 0.5
+#: A part answers within a second; one that has not answered after this long hangs, in seconds.
+SILENT_S = 1.5
+#: A folder without sockets for so long has no gate, and a gate without a controller for so long has
+#: no robot, in seconds.
 GONE_S = 5.0
+#: A controller that was told to stop says within so long that the robot stands, in seconds. The
+#: stop process tells it again until it does, whoever has left.
+TOLD_S = 10.0
 #: Sockets at which nobody listens are of processes that died: that long their start may take.
 DEAD_S = 30.0
 
@@ -58,13 +68,14 @@ class Reached(Struct, kw_only=True):
     """What one part said.
 
     Args:
-        answer: what became of the stop; None: it has not answered.
+        answer: what became of the stop, as it said last; None: it has not answered.
         role: what the client was there.
         why: why it has not answered; empty: it is connected, and silent.
         is_gone: nobody serves at its socket.
         is_dead: somebody did: the socket is there.
         is_shut: this user cannot reach it, or the path can be no socket's.
         is_over: it is not tried again.
+        asked_s: when it was asked what it has not answered yet, on the monotonic clock.
     """
 
     answer: Stopped | None = None
@@ -74,22 +85,49 @@ class Reached(Struct, kw_only=True):
     is_dead: bool = False
     is_shut: bool = False
     is_over: bool = False
+    asked_s: float | None = None
+
+    @property
+    def has_stopped(self) -> bool:
+        """True when it said that the robot stands."""
+        return self.answer is not None and self.answer.stopped
+
+    @property
+    def has_told(self) -> bool:
+        """True when it told a controller to stop."""
+        return self.answer is not None and self.answer.controller
+
+    @property
+    def hangs(self) -> bool:
+        """True when it serves, and has not answered what it was asked last."""
+        if self.is_over or self.is_gone:
+            return False
+        is_late = self.asked_s is not None and monotonic() - self.asked_s >= SILENT_S
+        return self.answer is None or is_late
+
+    @property
+    def state(self) -> tuple[bool, ...]:
+        """Whether it has answered, has told a controller, hangs, and is gone."""
+        return self.answer is not None, self.has_told, self.hangs, self.is_gone
 
 
 #: What each part said so far.
 Answers = dict[Part, Reached]
+#: Sends a stop over a connection that is there, and returns the answer to it.
+Ask = Callable[[Stop], Awaitable[Stopped]]
 
 
 class StopEverywhere:
-    """One stop on its way.
+    """One stop on its way; `stop` is what each part is told.
 
     Args:
         run: the run folder.
         roles: what to be there; the first that this user may be.
-        why: for the log; decides nothing.
+        why: for the log; decides nothing. What is too long for a stop is left out.
         client: the name in the log; the role's when absent.
         verifier: with one, only the answer of a part that proves the gate's key counts.
         robot: whose gate it must be; None takes any.
+        own: connections that are there already; one that fails is done without.
     """
 
     def __init__(
@@ -101,93 +139,107 @@ class StopEverywhere:
         client: str | None = None,
         verifier: GateVerifier | None = None,
         robot: RobotId | None = None,
+        own: Mapping[Part, Ask] | None = None,
     ) -> None:
         self._run = run
         self._roles = roles
         self._client = client
         self._verifier = verifier
         self._robot = robot
-        self._why = why
-        self._begin()
+        self._own = dict(own or {})
+        plain = why.encode("utf-8", "replace").decode("utf-8")
+        self.stop = Stop(why=plain[:MAX_WHY], key=fresh())
+        self.answers: Answers = {part: Reached() for part in Part}
+        self._refused: AuthGuardError | None = None
+        self._began_s = monotonic()
 
-    async def confirmed(self, tell: Callable[[Answers], object] = lambda _: None) -> Reached:
+    async def confirmed(
+        self, tell: Callable[[Answers], object] = lambda _: None, *, within_ms: int | None = None
+    ) -> Reached:
         """Return the best answer: a part's that says that the robot stands, or else any.
 
-        It tries on until the robot stands, or every part that serves has answered. A caller that
-        gives up cancels it; `answers` says how far it came.
+        It asks on until the robot stands. It gives up when a controller was told and does not say
+        so within `TOLD_S`, or when none is connected for `GONE_S`. A caller that gives up before
+        cancels it; `answers` says how far it came.
 
         Args:
-            tell: called once a second while there is no answer.
+            tell: called once a second while nobody confirms the stop.
+            within_ms: gives up after so long; None: never.
 
         Raises:
-            EnvironmentFault: nobody serves in the folder.
+            EnvironmentFault: nobody serves in the folder, or nobody has answered in time.
             AuthenticityError: no role is this user's.
         """
-        self._begin()
-        loop = asyncio.get_running_loop()
+        self._began_s = since_s = told_s = monotonic()
+        end_s = inf if within_ms is None else since_s + within_ms / 1_000
         tries = [asyncio.ensure_future(self._try(part)) for part in Part]
-        since_s = told_s = loop.time()  # nobody served, or one has answered
         try:
-            while not self._is_over(loop.time() - since_s):
+            while not self._is_over(monotonic() - since_s) and monotonic() < end_s:
                 before = self._state()
                 waits = [item for item in tries if not item.done()]
                 await asyncio.wait(waits, timeout=AGAIN_S, return_when=asyncio.FIRST_COMPLETED)
-                since_s = since_s if self._state() == before else loop.time()
-                if loop.time() - told_s >= TELL_S:
-                    told_s = loop.time()
+                since_s = since_s if self._state() == before else monotonic()
+                if monotonic() - told_s >= TELL_S:
+                    told_s = monotonic()
                     tell(self.answers)
         finally:
             for item in tries:
                 item.cancel()
             await asyncio.gather(*tries, return_exceptions=True)
-        return self._best()
-
-    def _begin(self) -> None:
-        """Be another stop than the last one."""
-        self._stop = Stop(why=self._why, key=fresh())
-        self._refused: AuthGuardError | None = None
-        self.answers: Answers = {part: Reached() for part in Part}
+        return self._best(late(within_ms) if monotonic() >= end_s else None)
 
     def _state(self) -> tuple[object, ...]:
-        return tuple((one.answer, one.is_gone) for one in self.answers.values())
+        return tuple(one.state for one in self.answers.values())
 
     def _is_over(self, unchanged_s: float) -> bool:
-        """Return True when nothing better will come, or nothing has come for long enough."""
+        """Return True when the robot stands, or it was long enough so that nobody could say so."""
         parts = self.answers.values()
-        answers = [one.answer for one in parts if one.answer is not None]
-        if any(answer.stopped for answer in answers) or all(one.is_over for one in parts):
+        if any(one.has_stopped for one in parts) or all(one.is_over for one in parts):
             return True
-        if not all(one.is_over or one.is_gone for one in parts):
-            return bool(answers) and unchanged_s >= PATIENCE_S  # the other one hangs
+        if any(one.has_told and not one.is_gone for one in parts):
+            return unchanged_s >= TOLD_S
+        if any(one.hangs for one in parts):
+            return False  # what it was sent, it may carry out yet
+        if any(one.is_over for one in parts) and all(one.answer is None for one in parts):
+            return True  # one refuses this user, and the other does not serve
         limit_s = DEAD_S if any(one.is_dead for one in parts) else GONE_S
-        return any(one.is_over for one in parts) or unchanged_s >= limit_s
+        return unchanged_s >= limit_s
 
-    def _best(self) -> Reached:
+    def _best(self, why: AuthGuardError | None) -> Reached:
         answered = [one for one in self.answers.values() if one.answer is not None]
         if answered:
-            return max(answered, key=lambda one: one.answer is not None and one.answer.stopped)
-        if self._refused is not None:
-            raise self._refused
-        raise unreachable(self.answers[Part.GATE].why, str(self._run))
+            return max(answered, key=lambda one: (one.has_stopped, one.has_told))
+        raise self._refused or why or unreachable(self.answers[Part.GATE].why, str(self._run))
 
     async def _try(self, part: Part) -> None:
-        """Send it to one part, again and again, until that has answered or refuses the client."""
+        """Send it to one part, again and again, until that confirms it or refuses the client."""
         reached, roles = self.answers[part], list(self._roles)
-        while reached.answer is None and roles:
+        own, is_again = self._own.get(part), False
+        while roles and not reached.has_stopped:
+            reached.asked_s = monotonic()
             try:
-                reached.answer = await self._once(self._run / part, roles[0], reached)
-                reached.role = roles[0]
-            except EnvironmentFault as error:
-                reached.why = error.message
-                if reached.is_shut:
-                    self._refused, roles = error, []
-                await asyncio.sleep(AGAIN_S)
+                ask = partial(self._once, self._run / part, roles[0], reached)
+                answer = await (ask() if own is None else own(self.stop))
+                reached.answer = self._whole(answer) if is_again else answer
+                reached.role, reached.why, reached.asked_s = roles[0], "", None
+                is_again = True
+                await asyncio.sleep(0 if reached.has_stopped else REPEAT_S)
             except AuthGuardError as error:
-                reached.why, self._refused = error.message, error
-                roles = roles[1:] if error.reason is Reason.ROLE_DENIED else []
+                reached.asked_s, is_again = None, True
+                reached.why = error.message
+                is_passing = own is not None or isinstance(error, EnvironmentFault)
+                if reached.is_shut or not is_passing:
+                    self._refused = error
+                    roles = roles[1:] if error.reason is Reason.ROLE_DENIED else []
+                own = None
+                await asyncio.sleep(AGAIN_S if is_passing else 0)
         if not roles and self._is_denied:
             self._refused = self._nobody(part)
         reached.is_over = True
+
+    def _whole(self, answer: Stopped) -> Stopped:
+        """Return the answer to a later try, with the time since the first one began."""
+        return replace(answer, after_ms=round((monotonic() - self._began_s) * 1_000))
 
     @property
     def _is_denied(self) -> bool:
@@ -231,15 +283,46 @@ class StopEverywhere:
                 raise unanswered(error, path) from error
             reached.is_gone, reached.is_dead, reached.why = False, False, ""
             try:
-                sent = session.request(Kind.STOP, self._stop)
+                sent = session.request(Kind.STOP, self.stop)
                 await line.write(session.hello() + sent.data)
                 while (item := session.take(sent.number)) is None:
                     await line.changed()
-                return msgspec.convert(answer_of(item), Stopped)
-            except msgspec.ValidationError as error:
-                raise MalformedError(str(error), where="stopped") from error
+                return stopped_of(answer_of(item))
             finally:
                 line.hang_up()
+
+
+def stop_of(path: Path, session: Session, ask: Ask, why: str) -> StopEverywhere:
+    """Return a stop over a connection that is there and by the other part of its gate.
+
+    Args:
+        path: the socket that it leads to.
+        session: of the connection; it has been welcomed.
+        ask: sends the stop over it.
+        why: for the log; decides nothing.
+    """
+    greeting, welcome = session.greeting, session.welcome
+    return StopEverywhere(
+        path.parent,
+        roles=(greeting.role,),
+        why=why,
+        client=greeting.client,
+        verifier=greeting.verifier,
+        robot=None if welcome is None else welcome.robot,
+        own={Part.LANE if path.name == Part.LANE else Part.GATE: ask},
+    )
+
+
+def stopped_of(answer: object) -> Stopped:
+    """Return what became of a stop, as a part answered.
+
+    Raises:
+        MalformedError: it is no such answer.
+    """
+    try:
+        return msgspec.convert(answer, Stopped)
+    except msgspec.ValidationError as error:
+        raise MalformedError(str(error), where="stopped") from error
 
 
 async def stop_robot(
@@ -250,18 +333,17 @@ async def stop_robot(
     client: str | None = None,
     verifier: GateVerifier | None = None,
     robot: RobotId | None = None,
+    within_ms: int | None = None,
 ) -> Stopped:
-    """Brake and hold, by the stop process and the gate at once; arguments as `StopEverywhere`'s.
+    """Brake and hold, by the stop process and the gate at once.
+
+    Arguments and errors as those of `StopEverywhere` and `StopEverywhere.confirmed`.
 
     Returns:
         Whether a controller was there and said that the robot stands, and after how long.
-
-    Raises:
-        EnvironmentFault: nobody serves in the folder.
-        AuthenticityError: no role is this user's.
     """
     stop = StopEverywhere(run, roles=roles, why=why, client=client, verifier=verifier, robot=robot)
-    answer = (await stop.confirmed()).answer
+    answer = (await stop.confirmed(within_ms=within_ms)).answer
     if answer is None:  # pragma: no cover - without an answer it raised
         raise RuntimeError("a stop ended without an answer")
     return answer

@@ -154,18 +154,19 @@ class Braking:
         self._written.clear()
 
     def _stop(self, client: Client, number: int, stop: Stop) -> None:
-        who = (client.uid, client.role)
+        who, loop = (client.uid, client.role), asyncio.get_running_loop()
         known = self._waiting.get(who)
         if known is not None:
-            known.more += 1
+            known.more += not _is_same(known.stop, stop)
             known.asked += [(client, number)] if len(known.asked) < _MOST_JOINED else []
+            loop.call_soon(partial(self._book.begun, client.role))
             return
         self._controller.stop()
         told = None if self._remote is None or not self._remote.connected else self._remote.halts
         asked, now_ms = [(client, number)], self._mono_ms()
         self._waiting[who] = _Waiting(client, stop, asked, begun_ms=now_ms, halt=told)
         # not here: whoever brought the bytes may be in the middle of something
-        asyncio.get_running_loop().call_soon(partial(self._hold, client))
+        loop.call_soon(partial(self._hold, client))
 
     def _hold(self, client: Client) -> None:
         self._book.begun(client.role)
@@ -184,6 +185,11 @@ class Braking:
             later_ms = FOLD_MS if waiting.stood_ms is not None else PATIENCE_MS
             waiting.due_ms = now_ms + later_ms
             self._written[who] = waiting
+        elif before.stood_ms is None and _is_same(
+            before.stop, waiting.stop
+        ):  # the last word counts
+            before.more += waiting.more
+            before.stood_ms = None if waiting.stood_ms is None else now_ms - before.begun_ms
         else:
             before.more += 1 + waiting.more
             if before.stood_ms is not None and waiting.stood_ms is not None:
@@ -203,3 +209,8 @@ class Braking:
             told = halt is not None and self._remote.connected
             return told and halt is not None and self._remote.has_stood(halt)
         return self._stands is not None and self._stands()
+
+
+def _is_same(one: Stop, other: Stop) -> bool:
+    """Return True of one stop that was asked for again."""
+    return bool(one.key) and one.key == other.key

@@ -72,6 +72,7 @@ class RemoteFlight:
     def __init__(self, dispatched_ms: int) -> None:
         self.dispatched_ms = dispatched_ms
         self.begun = False
+        self.is_left = False
         self._ended: Ended | None = None
         self._why = ""
 
@@ -94,6 +95,11 @@ class RemoteFlight:
     def doubt(self) -> None:
         """Say that the controller cannot be relied on for this action any more."""
         self._why = Reason.CONTROLLER_FAILED
+
+    def leave(self) -> None:
+        """Note that the connection that it was sent over has ended."""
+        self.is_left = True
+        self.doubt()
 
 
 class RemoteController:
@@ -167,7 +173,7 @@ class RemoteController:
         """Let a connection go that ended: whatever ran is in doubt from now on."""
         self._send = None
         for flight in self._flights.values():
-            flight.doubt()
+            flight.leave()
 
     def dispatch(self, action: Action, lease: Lease) -> RemoteFlight:
         """Send a released action.
@@ -238,11 +244,15 @@ class RemoteController:
     def hear(self, message: Begun | Ended | Stood, number: int = 0) -> None:
         """Take in what the controller says.
 
+        One that comes back first tells how its last actions ended, and then that it stands. What
+        it has told nothing of by then is `unknown`: it may be another start of it.
+
         Args:
             message: it.
             number: of the message that it answers; 0: none.
         """
         if isinstance(message, Stood):
+            self._give_up_left()
             self._halting, self._stood = False, max(self._stood, number)
             if message.life != self._life:
                 self._count_anew(message.life)
@@ -257,6 +267,13 @@ class RemoteController:
             flight.begun = True
         else:
             flight.end(message)
+
+    def _give_up_left(self) -> None:
+        """End as `unknown` what was sent over an earlier connection and nobody tells of."""
+        for ticket, flight in self._flights.items():
+            if flight.is_left:
+                why = Reason.CONTROLLER_FAILED
+                flight.end(Ended(ticket=ticket, outcome=Outcome.UNKNOWN, why=why))
 
     def check(self) -> None:
         """Doubt every action whose begin nobody confirmed in time."""

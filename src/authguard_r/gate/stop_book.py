@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from msgspec import Struct
+
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.enforcement import Enforcer
@@ -24,12 +26,51 @@ from authguard_r.wire.messages import ClientRole, Stop, StopHeard
 
 #: Stops of the lane that are known when they come again: it forgets what it was told of.
 _KNOWN = 4_096
-#: The second way of a stop that was sent by both comes within this, in milliseconds.
-_BOTH_MS = 10_000
+#: One stop comes by its second way, and again while nobody confirms it, within so many
+#: milliseconds.
+_SAME_MS = 10_000
 #: What is said while no stop is heard of.
 _GONE = "the stop lane is gone"
 #: What is said while the lane is connected and does not answer.
 _SILENT = "the stop lane does not answer"
+
+
+class _Told(Struct, frozen=True, kw_only=True):
+    """A stop as one way tells of it.
+
+    Args:
+        by: who asked.
+        uid: its user.
+        role: what it is here.
+        key: names the stop; empty: nothing else is the same.
+        why: its words.
+        stood_ms: after how long the robot stood; None: nobody confirmed it.
+        by_lane: the lane tells of it, or else the gate itself.
+    """
+
+    by: Identifier
+    uid: int
+    role: ClientRole
+    key: str
+    why: str
+    stood_ms: int | None
+    by_lane: bool
+
+
+class _Known(Struct, frozen=True):
+    """What is known of a stop's name.
+
+    Args:
+        by_lane: who told of it last.
+        at_ms: when, on the gate's monotonic clock.
+        is_confirmed: somebody said that the robot stood.
+        is_whole: lane and gate have told of it since.
+    """
+
+    by_lane: bool
+    at_ms: int
+    is_confirmed: bool
+    is_whole: bool = False
 
 
 class StopBook:
@@ -63,7 +104,7 @@ class StopBook:
         self._liveness = liveness
         self._notices = notices
         self._mono_ms = mono_ms
-        self._keys: dict[tuple[int, ClientRole, str], tuple[bool, int]] = {}
+        self._keys: dict[tuple[int, ClientRole, str], _Known] = {}
         self._known: deque[tuple[int, int]] = deque(maxlen=_KNOWN)
 
     @property
@@ -88,11 +129,16 @@ class StopBook:
             stood_ms: after how long the robot stood; None: nobody confirmed it.
             more: later stops of the same user and role that were folded into this one.
         """
-        if self._is_other(client.uid, client.role, stop.key, by_lane=False, stood_ms=stood_ms):
-            return
-        self._view.stops += 1
-        details = {"more": more}
-        self._record(client.name, client.role, stop.why, stood_ms, details, suspends=False)
+        told = _Told(
+            by=client.name,
+            uid=client.uid,
+            role=client.role,
+            key=stop.key,
+            why=stop.why,
+            stood_ms=stood_ms,
+            by_lane=False,
+        )
+        self._note(told, {"more": more}, suspends=False)
 
     def stopped(self, heard: StopHeard) -> None:
         """Record a stop that the lane carried out, once.
@@ -103,34 +149,21 @@ class StopBook:
         if name in self._known:
             return
         self._known.append(name)
-        who, stood_ms = (heard.uid, heard.role, heard.key), heard.stood_ms
-        if not self._is_other(*who, by_lane=True, stood_ms=stood_ms):
-            self._view.stops += 1
-            by = Identifier(f"u{heard.uid}.{heard.by}")
-            details = {"lane": [heard.epoch, heard.n], "at_ms": heard.time_ms, "more": heard.more}
-            suspends = heard.role in SUSPENDING
-            self._record(by, heard.role, heard.why, stood_ms, details, suspends=suspends)
+        told = _Told(
+            by=Identifier(f"u{heard.uid}.{heard.by}"),
+            uid=heard.uid,
+            role=heard.role,
+            key=heard.key,
+            why=heard.why,
+            stood_ms=heard.stood_ms,
+            by_lane=True,
+        )
+        details = {"lane": [heard.epoch, heard.n], "at_ms": heard.time_ms, "more": heard.more}
+        self._note(told, details, suspends=heard.role in SUSPENDING)
         # only now: what was decided before the mission was suspended may not start after it
         if self._controller is not None and heard.stops is not None:
             self._controller.heard_of(heard.life, heard.stops)
         self._motions.look()
-
-    def _is_other(
-        self, uid: int, role: ClientRole, key: str, *, by_lane: bool, stood_ms: int | None
-    ) -> bool:
-        """Return True of the second way of one stop; the same way again is another stop."""
-        if not key:
-            return False
-        now_ms, name = self._mono_ms(), (uid, role, key)
-        known = self._keys.pop(name, (by_lane, now_ms))
-        is_other = known[0] is not by_lane and now_ms - known[1] <= _BOTH_MS
-        for old in tuple(self._keys)[: max(0, len(self._keys) - _KNOWN)]:
-            del self._keys[old]
-        if not is_other:
-            self._keys[name] = (by_lane, now_ms)
-        elif stood_ms is not None:
-            self._unconfirmed(is_so=False, by=Identifier("gate"))
-        return is_other
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
         """Say that no stop is heard of until the lane is back."""
@@ -142,30 +175,69 @@ class StopBook:
         self._liveness.holds(_GONE, is_so=False)
         self._liveness.holds(_SILENT, is_so=is_silent)
 
-    def _record(
-        self,
-        by: Identifier,
-        role: ClientRole,
-        why: str,
-        stood_ms: int | None,
-        details: dict[str, Any],
-        *,
-        suspends: bool,
-    ) -> None:
+    def _note(self, told: _Told, details: dict[str, Any], *, suspends: bool) -> None:
+        """Record a stop, once; one that is confirmed at last has a second record, without words."""
+        known = self._recall(told)
+        if known is None:
+            self._view.stops += 1
+            self._record(told, details, suspends=suspends)
+        elif not known.is_confirmed:
+            if suspends:  # it is asked for still
+                self.begun(told.role)
+            if told.stood_ms is not None:
+                self._confirm(told)
+
+    def _recall(self, told: _Told) -> _Known | None:
+        """Return what is known of the same stop.
+
+        Lane and gate tell of it, and tell again: a client asks on while nobody confirms it. After
+        that, what the same one of the two tells of under this name is another stop.
+        """
+        if not told.key:
+            return None
+        name, now_ms = (told.uid, told.role, told.key), self._mono_ms()
+        known = self._keys.pop(name, None)
+        for old in tuple(self._keys)[: max(0, len(self._keys) + 1 - _KNOWN)]:
+            del self._keys[old]
+        if known is not None and now_ms - known.at_ms > _SAME_MS:
+            known = None
+        if known is not None and known.is_confirmed:
+            is_late = known.is_whole and told.stood_ms is None  # a try from before
+            if is_late or (known.by_lane is not told.by_lane and not known.is_whole):
+                self._keys[name] = _Known(known.by_lane, known.at_ms, True, True)  # noqa: FBT003
+                return known
+            known = None
+        self._keys[name] = _Known(told.by_lane, now_ms, told.stood_ms is not None)
+        return known
+
+    def _record(self, told: _Told, details: dict[str, Any], *, suspends: bool) -> None:
+        by, role, stood_ms = told.by, told.role, told.stood_ms
         too_many = self._enforcer.stopped(
             by=by,
             is_planner=role is ClientRole.PLANNER,
             suspends=suspends,
             details={"stood_ms": -1 if stood_ms is None else stood_ms, **details},
-            why=why,
+            why=told.why,
         )
         if too_many:
             self._liveness.follow()
             self._liveness.tell("planner stops", {"by": by})
             self._notices.publish({"event": "alert", "what": "planner stops", "by": by})
         self._view.mission_changed()
-        self._notices.publish({"event": "stop", "by": by, "role": role, "stood_ms": stood_ms})
+        self._publish(told)
         self._unconfirmed(is_so=stood_ms is None, by=by)
+
+    def _confirm(self, told: _Told) -> None:
+        """Record the end of a stop that nobody had confirmed; a planner's has no such record."""
+        if told.role is not ClientRole.PLANNER:
+            details = {"stood_ms": told.stood_ms, "confirms": True}
+            self._enforcer.stopped(by=told.by, is_planner=False, details=details)
+        self._publish(told)
+        self._unconfirmed(is_so=False, by=told.by)
+
+    def _publish(self, told: _Told) -> None:
+        event = {"event": "stop", "by": told.by, "role": told.role, "stood_ms": told.stood_ms}
+        self._notices.publish(event)
 
     def _unconfirmed(self, *, is_so: bool, by: Identifier) -> None:
         """Raise the alert at the first stop that nobody confirms, until one is confirmed."""

@@ -33,6 +33,8 @@ MAX_HELLO = 4_096
 #: Longest answer or event, in bytes.
 MAX_ANSWER = 1 << 23
 _SMALL = 4_096
+#: Longest words of whoever stops, in characters.
+MAX_WHY = 200
 
 #: A client's own name for a proposal: the same key is the same proposal.
 Key = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{1,64}\Z")]
@@ -412,7 +414,7 @@ class Stop(_Message, frozen=True, kw_only=True):
         key: names the stop. A client sends one stop to both, and the log has it once.
     """
 
-    why: Annotated[str, Meta(max_length=200)] = ""
+    why: Annotated[str, Meta(max_length=MAX_WHY)] = ""
     key: Annotated[str, Meta(max_length=64)] = ""
 
 

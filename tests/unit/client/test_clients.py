@@ -121,8 +121,6 @@ def caught(face: Face, path: Path, role: ClientRole, act: Any, **how: Any) -> Au
         (OPERATOR, lambda c: c.evaluate(b"[]"), {"plan": b"[]", "dialect": "auto"}),
         (OPERATOR, lambda c: c.approve(b"t"), {"act": Act.APPROVE, "token": b"t"}),
         (PLANNER, lambda c: c.propose(b"[]", key="k"), {"key": "k", "plan": b"[]"}),
-        (PLANNER, lambda c: c.stop("near a child"), {"why": "near a child"}),
-        (ESTIMATOR, lambda c: c.stop(), {"why": ""}),
     ],
 )
 def test_a_request_says_what_was_asked_and_returns_the_gate_s_answer(

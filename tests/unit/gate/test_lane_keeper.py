@@ -16,7 +16,6 @@ import msgspec
 import pytest
 
 from authguard_r.assembly import folder_signer
-from authguard_r.client import GateClient
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.token import sign_object
@@ -92,8 +91,9 @@ async def until(holds: Callable[[], object]) -> None:
 
 
 def stop(files: LaneFiles, why: str = "") -> None:
-    with GateClient.connect(files.run / SOCKET, role=ClientRole.OPERATOR) as hand:
-        hand.stop(why)
+    hand = estop_fixtures.Client(files.run)
+    hand.hello(ClientRole.OPERATOR)
+    hand.stop(why)
 
 
 def test_a_lane_that_dies_is_told_of_and_started_again(files: LaneFiles) -> None:

@@ -287,8 +287,9 @@ def test_a_stop_lane_is_started_with_the_gate_heard_and_ended_with_it(
     made = parts(files, journal, lane=files)
 
     def work(told: Rendezvous) -> None:
-        with GateClient.connect(files.run / "stop.sock", role=ClientRole.OPERATOR) as hand:
-            hand.stop("smoke")
+        hand = estop_fixtures.Client(files.run)
+        hand.hello(ClientRole.OPERATOR)
+        hand.stop("smoke")
         with client(told, ClientRole.AUDITOR) as auditor:
             estop_fixtures.until(lambda: auditor.status()["stops"] == 1, "the stop's word")
 

@@ -186,6 +186,27 @@ def test_a_connection_that_is_lost_leaves_what_ran_in_doubt() -> None:
     assert (flight.why(), bench.remote.connected) == ("CONTROLLER_FAILED", False)
 
 
+def test_what_a_controller_that_came_back_tells_nothing_of_is_unknown_once_it_stands() -> None:
+    """Nothing may begin while nobody knows how the action before it ended."""
+    bench = Bench()
+    lost, told = bench.dispatch(), bench.dispatch(TWO)
+    bench.remote.detach()
+    assert (lost.outcome(), told.outcome()) == (None, None)
+    bench.attach()
+    bench.remote.hear(Ended(ticket=TWO, outcome=Outcome.ABORTED, why="RENEWAL_LOST"))
+    assert (lost.outcome(), told.outcome()) == (None, Outcome.ABORTED)
+    bench.remote.hear(Stood(stops=0, life=LIFE + 1))
+    assert (lost.outcome(), lost.why()) == (Outcome.UNKNOWN, "CONTROLLER_FAILED")
+    assert (told.outcome(), told.why()) == (Outcome.ABORTED, "RENEWAL_LOST")
+
+
+def test_a_controller_that_says_that_it_stands_leaves_what_runs_on_its_connection() -> None:
+    bench = Bench()
+    flight = bench.dispatch()
+    bench.remote.hear(Stood(stops=0, life=LIFE))
+    assert (flight.outcome(), flight.why()) == (None, "")
+
+
 # stops
 
 
@@ -426,6 +447,25 @@ def test_a_controller_that_hangs_up_in_mid_motion_leaves_it_unknown() -> None:
         house.connect_robot()
         assert house.remote is not None
         assert house.remote.connected
+
+
+def test_nothing_begins_when_a_controller_comes_back_sooner_than_it_would_be_given_up() -> None:
+    """It is another start, and knows nothing of the action before: a person has to say."""
+    with House(stand_within_ms=2_000) as house:
+        planner = house.enter(ClientRole.PLANNER)
+        house.activate()
+        number = house.begin(planner, GO)
+        house.advance(500)
+        assert house.controller is not None
+        house.desk = None
+        house.controller.leave()
+        house.connect_robot()
+        began = house.clock.mono_ms()
+        (step,) = house.rest(planner, number)["steps"]
+        assert step["execution"]["outcome"] == "unknown"
+        assert house.clock.mono_ms() - began < 2_000
+        (refused,) = house.propose(planner, SCAN)["steps"]
+        assert refused["reasons"] == ["MISSION_SUSPENDED"]
 
 
 def test_a_controller_that_ignores_stops_does_not_hold_up_the_gate() -> None:
