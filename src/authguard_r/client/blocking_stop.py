@@ -140,40 +140,47 @@ def stop_now(path: Path, own: OwnLine, *, why: str, within_ms: int) -> dict[str,
     stop = stop_of(path, own.session, own.ask, why)
     with suppress(AuthGuardError):  # the connection is of no use: another one is opened
         own.send(stop.stop)
-    try:
-        answer = _confirmed(stop, within_ms).answer
-    except (OSError, RuntimeError):  # no file or thread is left for an event loop
-        answer = own.wait(within_ms)
-    said: dict[str, Any] = msgspec.to_builtins(answer)
+    reached = _confirmed(stop, within_ms)
+    said: dict[str, Any] = msgspec.to_builtins(
+        own.wait(within_ms) if reached is None else reached.answer
+    )
     return said
 
 
-def _confirmed(stop: StopEverywhere, within_ms: int) -> Reached:
+def _confirmed(stop: StopEverywhere, within_ms: int) -> Reached | None:
     """Run a stop in an event loop of its own; the caller's, if one runs here, waits too.
 
+    Returns:
+        The best answer; None where no file or thread is left for an event loop.
+
     Raises:
-        OSError: no file is left for it.
-        RuntimeError: no thread is left for it.
         AuthGuardError: nobody has answered in time.
     """
-    loop = asyncio.new_event_loop()
     try:
-        task = loop.create_task(stop.confirmed(within_ms=within_ms))
+        loop = asyncio.new_event_loop()
+    except OSError:
+        return None
+    try:
         if not _has_loop():
-            return _finished(loop, task)
+            return _finished(loop, stop, within_ms)
         with ThreadPoolExecutor(1) as pool:
-            future = pool.submit(_finished, loop, task)
+            try:
+                future = pool.submit(_finished, loop, stop, within_ms)
+            except RuntimeError:
+                return None
             try:
                 return future.result()
             except BaseException:  # whoever interrupts this thread gives up
-                loop.call_soon_threadsafe(task.cancel)
+                if not future.done():
+                    loop.call_soon_threadsafe(_cancel_all, loop)
                 raise
     finally:
         loop.close()
 
 
-def _finished(loop: asyncio.AbstractEventLoop, task: asyncio.Task[Reached]) -> Reached:
-    """Run a task to its end; whoever interrupts it ends it too."""
+def _finished(loop: asyncio.AbstractEventLoop, stop: StopEverywhere, within_ms: int) -> Reached:
+    """Run a stop to its end; whoever interrupts it ends it too."""
+    task = loop.create_task(stop.confirmed(within_ms=within_ms))
     try:
         return loop.run_until_complete(task)
     finally:
@@ -181,6 +188,11 @@ def _finished(loop: asyncio.AbstractEventLoop, task: asyncio.Task[Reached]) -> R
             task.cancel()
             with suppress(asyncio.CancelledError):
                 loop.run_until_complete(task)
+
+
+def _cancel_all(loop: asyncio.AbstractEventLoop) -> None:
+    for task in asyncio.all_tasks(loop):
+        task.cancel()
 
 
 def _has_loop() -> bool:

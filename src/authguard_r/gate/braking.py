@@ -185,9 +185,7 @@ class Braking:
             later_ms = FOLD_MS if waiting.stood_ms is not None else PATIENCE_MS
             waiting.due_ms = now_ms + later_ms
             self._written[who] = waiting
-        elif before.stood_ms is None and _is_same(
-            before.stop, waiting.stop
-        ):  # the last word counts
+        elif before.stood_ms is None and _is_same(before.stop, waiting.stop):
             before.more += waiting.more
             before.stood_ms = None if waiting.stood_ms is None else now_ms - before.begun_ms
         else:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier
@@ -26,8 +27,8 @@ from authguard_r.wire.messages import ClientRole, Stop, StopHeard
 
 #: Stops of the lane that are known when they come again: it forgets what it was told of.
 _KNOWN = 4_096
-#: One stop comes by its second way, and again while nobody confirms it, within so many
-#: milliseconds.
+#: What lane and gate tell of one stop comes within this, in milliseconds; a client repeats the stop
+#: while nobody confirms it.
 _SAME_MS = 10_000
 #: What is said while no stop is heard of.
 _GONE = "the stop lane is gone"
@@ -36,7 +37,7 @@ _SILENT = "the stop lane does not answer"
 
 
 class _Told(Struct, frozen=True, kw_only=True):
-    """A stop as one way tells of it.
+    """A stop as the lane, or the gate itself, tells of it.
 
     Args:
         by: who asked.
@@ -176,7 +177,7 @@ class StopBook:
         self._liveness.holds(_SILENT, is_so=is_silent)
 
     def _note(self, told: _Told, details: dict[str, Any], *, suspends: bool) -> None:
-        """Record a stop, once; one that is confirmed at last has a second record, without words."""
+        """Record a stop, once; one that is confirmed later has a second record, without `why`."""
         known = self._recall(told)
         if known is None:
             self._view.stops += 1
@@ -190,8 +191,8 @@ class StopBook:
     def _recall(self, told: _Told) -> _Known | None:
         """Return what is known of the same stop.
 
-        Lane and gate tell of it, and tell again: a client asks on while nobody confirms it. After
-        that, what the same one of the two tells of under this name is another stop.
+        Lane and gate each tell of it, and tell again while nobody confirms it. Once it is confirmed
+        and one of the two tells of the same name again, that is another stop.
         """
         if not told.key:
             return None
@@ -204,7 +205,7 @@ class StopBook:
         if known is not None and known.is_confirmed:
             is_late = known.is_whole and told.stood_ms is None  # a try from before
             if is_late or (known.by_lane is not told.by_lane and not known.is_whole):
-                self._keys[name] = _Known(known.by_lane, known.at_ms, True, True)  # noqa: FBT003
+                self._keys[name] = replace(known, is_whole=True)
                 return known
             known = None
         self._keys[name] = _Known(told.by_lane, now_ms, told.stood_ms is not None)

@@ -443,6 +443,24 @@ with GateClient.connect(Path(sys.argv[1]), role=ClientRole.PLANNER) as client:
     assert "'stopped': True" in done.stdout, done.stderr
 
 
+def test_a_client_without_a_thread_left_stops_over_its_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    async def main(path: Path) -> Any:
+        with (
+            GateClient.connect(path, role=ClientRole.PLANNER) as client,
+            monkeypatch.context() as m,
+        ):
+            m.setattr(threading.Thread, "start", full)
+            return client.stop("a child")
+
+    with serving(silent, stands_and_stays) as run:
+        assert asyncio.run(main(run / Part.GATE))["stopped"] is True
+
+
 def test_a_stop_leaves_the_thread_s_own_event_loop_as_it_is() -> None:
     with serving(None, stands_and_stays) as run:
         loop = asyncio.new_event_loop()
