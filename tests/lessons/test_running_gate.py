@@ -217,7 +217,8 @@ def test_l8_a_stop_that_nobody_confirmed_and_one_that_was_refused_are_written_do
     lane: RunningGate,
 ) -> None:
     lane.mark()
-    stop = GateClient.connect(lane.stop_socket, role=ClientRole.OPERATOR, client="late")
+    late = {"role": ClientRole.OPERATOR, "client": "late", "timeout_ms": 1_500}
+    stop = GateClient.connect(lane.stop_socket, **late)
     with stop:
         assert stop.stop("nobody is there")["stopped"] is False
 

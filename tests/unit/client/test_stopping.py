@@ -140,9 +140,9 @@ def test_a_stop_that_nobody_confirms_is_asked_for_again_under_its_name_until_som
 def test_a_controller_that_does_not_say_that_the_robot_stands_is_waited_for_and_named(
     other: Talk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stopping, "TELL_S", 0.2)
-    monkeypatch.setattr(stopping, "GONE_S", 0.2)
-    monkeypatch.setattr(stopping, "TOLD_S", 0.9)
+    monkeypatch.setattr(stopping, "TELL_S", 0.1)
+    monkeypatch.setattr(stopping, "GONE_S", 0.1)
+    monkeypatch.setattr(stopping, "TOLD_S", 0.5)
     told: list[list[str]] = []
 
     def tell(answers: Answers) -> None:
@@ -515,7 +515,7 @@ def test_a_connected_client_believes_no_impostor_at_the_other_part(face: Face) -
         serving(impostor, welcomes_only) as run,
         pytest.raises(AuthGuardError),
     ):
-        face(run / Part.GATE, verifier=trust, robot=scenarios.RID, timeout_ms=1_000)
+        face(run / Part.GATE, verifier=trust, robot=scenarios.RID, timeout_ms=400)
 
 
 @pytest.mark.parametrize("why", ["\udcff broken", "x" * 5_000])
