@@ -392,8 +392,9 @@ def test_a_stop_is_bounded_by_the_brakes_alone(yard: Yard, role: ClientRole) -> 
             said = hand.stop("in the way")
         within(yard, trail.rest(asked_ms), 0)
         assert said["stopped"] is True
-        record = yard.news("stop")
-        assert record.open["stood_ms"] == said["after_ms"] >= BRAKING_MS - LOOK_MS
+        # both parts measure: one answered the client first, one told the log first
+        for stood_ms in (yard.news("stop").open["stood_ms"], said["after_ms"]):
+            assert BRAKING_MS - LOOK_MS <= stood_ms <= yard.gate.config.stand_within_ms
         assert walk.ended()["execution"]["outcome"] == "aborted"
         trail.stays()
 

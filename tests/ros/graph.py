@@ -33,6 +33,7 @@ from geometry_msgs.msg import Twist
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -87,11 +88,16 @@ class Peer:
             else MultiThreadedExecutor(4, context=self._context)
         )
         self._executor.add_node(self.node)
+        self._is_closed = False
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
     def _spin(self) -> None:
-        self._executor.spin()
+        try:
+            self._executor.spin()
+        except InvalidHandle:  # a callback that outlives the executor wakes what is gone
+            if not self._is_closed:
+                raise
 
     def ask(self, begin: Callable[[], Any]) -> Future[Any]:
         """Begin something of `rclpy` that has a future; return one of Python's."""
@@ -115,6 +121,7 @@ class Peer:
         """End it; a second time changes nothing."""
         if not self.is_alive:
             return
+        self._is_closed = True
         self._executor.shutdown()
         self._thread.join(5)
         for action in tuple(self.node.waitables):  # the node would leave them there, and visible
