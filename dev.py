@@ -20,6 +20,7 @@ Other words are passed on: `python3 dev.py test -k replay`.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import subprocess
 import sys
@@ -34,7 +35,6 @@ LOCK = ROOT / "requirements.lock"
 FUZZ_LOCK = ROOT / "requirements-fuzz.lock"
 #: What a gate alone needs, for its container.
 GATE_LOCK = ROOT / "deploy" / "container" / "requirements.lock"
-UV = "uv==0.13.8"
 
 
 def main(arguments: list[str]) -> int:
@@ -63,12 +63,25 @@ def setup() -> None:
     if not (BIN / "python").exists() and not (BIN / "python.exe").exists():
         venv.create(ENV, with_pip=True)
     quiet = ["--quiet", "--disable-pip-version-check"]
-    check([str(BIN / "python"), "-m", "pip", "install", *quiet, UV])
+    first = ENV / "uv.lock"
+    first.write_text(locked("uv"))
+    pip = [str(BIN / "python"), "-m", "pip", "install", *quiet]
+    check([*pip, "--require-hashes", "--only-binary=:all:", "--requirement", str(first)])
     uv = [str(BIN / "uv"), "pip"]
     python = ["--quiet", "--python", str(BIN / "python")]
     check([*uv, "sync", *python, "--require-hashes", str(LOCK)])
-    check([*uv, "install", *python, "--no-deps", "--editable", str(ROOT)])
+    # the build backend is a locked one, too
+    ours = ["--no-build-isolation", "--no-deps", "--editable", str(ROOT)]
+    check([*uv, "install", *python, *ours])
     stamp.write_text(wanted)
+
+
+def locked(name: str) -> str:
+    """Return what the lock file says of one package: its version, and the hash of every file."""
+    lines = LOCK.read_text().splitlines()
+    at = next(n for n, line in enumerate(lines) if line.startswith(f"{name}=="))
+    hashes = itertools.takewhile(lambda line: line.startswith("    --hash="), lines[at + 1 :])
+    return "\n".join([lines[at], *hashes]) + "\n"
 
 
 def demo(arguments: list[str]) -> int:

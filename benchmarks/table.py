@@ -36,13 +36,13 @@ def log_alone(results: dict[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def write(path: Path, text: str) -> None:
+def write(path: Path, text: str, *, begin: str = BEGIN, end: str = END) -> None:
     """Write the tables to a file; in a page with marks, only between them."""
     page = path.read_text("utf-8") if path.is_file() else ""
-    head, begin, rest = page.partition(BEGIN)
-    _, end, tail = rest.partition(END)
-    if begin and end:
-        text = f"{head}{BEGIN}\n{text}{END}{tail}"
+    head, begins, rest = page.partition(begin)
+    _, ends, tail = rest.partition(end)
+    if begins and ends:
+        text = f"{head}{begin}\n{text}{end}{tail}"
     path.write_text(text, "utf-8")
 
 

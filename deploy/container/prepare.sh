@@ -1,14 +1,15 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # Makes the folder that a container is built from: sh deploy/container/prepare.sh FOLDER
-# Needs `uv` on the path, or in .venv (python3 dev.py setup).
+# Needs .venv (python3 dev.py setup): uv and the build backend are the locked ones.
 set -eu
 root=$(cd "$(dirname "$0")/../.." && pwd)
 folder=$1
+python="$root/.venv/bin/python"
 PATH="$root/.venv/bin:$PATH"
 mkdir -p "$folder"
 rm -f "$folder"/*.whl
-uv build --quiet --wheel --out-dir "$folder" "$root"
+uv build --quiet --wheel --no-build-isolation --python "$python" --out-dir "$folder" "$root"
 rm -f "$folder/.gitignore"
 cp "$root/deploy/container/requirements.lock" "$root/deploy/container/install.sh" "$folder"
 cd "$folder"

@@ -8,6 +8,7 @@ import json
 import os
 import pty
 import shutil
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -84,6 +85,16 @@ OPEN = (("robot: courier-1\n", ""), ("on_refusal: hold\n", ""), ("    tool: grip
 UNGUARDED = ("    after: [place-at-101]\n", "")
 
 # questions and answers
+
+
+def test_what_says_what_a_robot_is_to_do_is_its_owners_alone(shell: Shell) -> None:
+    """A mission names people's rooms: its files are as private as an export of the log."""
+    compiled(shell)
+    signed = ["mission", "sign", "m.json", *KEY, *SITE, "--out", "m.token", "--yes"]
+    assert shell(*signed)[0] == 0
+    made = [path for path in Path().iterdir() if path.name.startswith("m.")]
+    assert len(made) >= 3  # mission, token, confirmation
+    assert {stat.S_IMODE(path.stat().st_mode) for path in made} == {0o600}
 
 
 def test_every_open_question_is_in_one_answer_of_exit_3(shell: Shell) -> None:

@@ -961,7 +961,7 @@ def test_without_its_server_a_body_begins_nothing_and_stands() -> None:
 
     async def talk() -> None:
         upstream = Upstream(("x",), pins=None, environment={}, log=Log(), changed=lambda: None)
-        body = ToolBody(scenarios.RID, upstream, means, lambda: None)
+        body = ToolBody(scenarios.RID, upstream, means, lambda: None, Log())
         with pytest.raises(ControllerError, match="not there"):
             body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         with pytest.raises(CallError):

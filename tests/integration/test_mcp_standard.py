@@ -43,16 +43,22 @@ def said(number: int, method: str, params: dict[str, Any]) -> bytes:
     return json.dumps(asked).encode() + b"\n"
 
 
-def test_a_message_that_is_too_long_ends_the_connection(gate: RunningGate, tmp_path: Path) -> None:
-    pipe = subprocess.PIPE
+def test_of_a_message_that_is_too_long_nothing_is_kept(gate: RunningGate, tmp_path: Path) -> None:
+    pipe, long = subprocess.PIPE, b"x" * (2 * MAX_MESSAGE + 2) + b"\n"
     with started(gate, tmp_path / "c", stdin=pipe, stdout=pipe, stderr=pipe) as process:
-        out, errors = process.communicate(
-            said(1, "initialize", HELLO) + b"x" * (MAX_MESSAGE + 2) + b"\n", timeout=PATIENCE_S
-        )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        answers = []
+        for asked in (said(1, "initialize", HELLO), long, said(2, "ping", {})):
+            process.stdin.write(asked)
+            process.stdin.flush()
+            answers.append(json.loads(process.stdout.readline()))
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-    assert b"bytes came: it ends here" in errors
     assert b"Traceback" not in errors
-    assert json.loads(out.splitlines()[0])["id"] == 1
+    first, told, last = answers
+    assert (first["id"], last["id"], last["result"]) == (1, 2, {})
+    assert (told["id"], told["error"]["code"]) == (None, -32_700)
 
 
 def test_a_request_in_a_file_is_answered_into_one(gate: RunningGate, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -22,6 +23,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, order, until
+from fixtures.slow_witness import KINDS, SlowWitness
 from fixtures.small_witness import ORIGIN, SmallWitness, log_keys
 from integration.test_gate_watching import operator
 from integration.test_rollback import SCAN, CountedGate, active, resumed
@@ -189,6 +191,33 @@ def test_a_mission_that_ends_is_witnessed_without_waiting_for_more(one: SmallWit
         with operator(gate) as person:
             person.command(order(gate, mission, digest, Verb.REVOKE))
         until(lambda: one.size > before, "the checkpoint")
+
+
+def test_slow_witnesses_of_every_kind_keep_an_honest_one_from_nothing(one: SmallWitness) -> None:
+    """They drip, fall silent or never end: what is new is witnessed, and what has no undo goes."""
+    with ExitStack() as held, WitnessedGate(checkpoint_ms=100) as gate:
+        slow = [held.enter_context(SlowWitness(kind)) for kind in KINDS]
+        places = (*(witness.place for witness in slow), one.place)
+        gate.configure(msgspec.structs.replace(gate.config, witnesses=places, quorum=1))
+        gate.restart()
+        gate.activate(gate.token(irreversible(gate)))
+        assert gate.step()["released"]
+        gate.seen()
+        seen = one.size
+        assert gate.step()["released"]
+        gate.seen()
+        assert one.size > seen
+        told = {each["name"]: each for each in gate.told["witnesses"]}
+        assert told["one"]["state"] == "cosigned"
+
+        def given_up() -> bool:
+            shown = {each["name"]: each["state"] for each in gate.told["witnesses"]}
+            return all(shown[kind] == "unreachable" for kind in KINDS)
+
+        until(given_up, "the end of every exchange")
+        assert gate.told["confirmed"] == 1
+        assert gate.step()["released"]
+        gate.seen()
 
 
 class Program:

@@ -9,12 +9,15 @@ believed: each tool calls itself harmless, and its answers are signs that somebo
 Faults: `dies` at the second call, `hangs` in every call but `say`, `huge` answers, `says-no`
 and is no error, `renamed` has a tool more, `error` is an error of the tool, `busy` hears nothing
 for two seconds of a call, `leaves` after the first answer of each start, `forges` or `garbles` a
-verdict, `ends-session` (over HTTP) ends the session in which a call is canceled.
+verdict, `ends-session` (over HTTP) ends the session in which a call is canceled, `waits` in every
+call until the file `go` is beside that of the calls, `pattern` in the schema of its answers that
+takes hours, `pattern-2` another one, `endless` or `packed` answers of calls (over HTTP).
 """
 
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
 import os
 import socket
@@ -38,6 +41,8 @@ PICTURES: list[Any] = [
     ),
     types.ResourceLink(type="resource_link", uri="robot://more", name="more", description="101"),
 ]
+#: A text of `SLOW` is held to the first in a time that doubles with each letter.
+PATTERNS, SLOW = {"pattern": "^(a+)+$", "pattern-2": "^(a+)+b$"}, "a" * 60 + "!"
 FIELDS: dict[str, dict[str, str]] = {
     "navigate_to": {"destination": "string", "via": "array", "speed": "number"},
     "pick_up": {"object": "string", "force": "number"},
@@ -51,10 +56,13 @@ FIELDS: dict[str, dict[str, str]] = {
 
 def tool(name: str) -> types.Tool:
     properties = {field: {"type": kind} for field, kind in FIELDS[name].items()}
+    pattern = PATTERNS.get(next(iter(FAULTS & PATTERNS.keys()), ""))
+    note = {"type": "object", "properties": {"note": {"type": "string", "pattern": pattern}}}
     return types.Tool(
         name=name,
         description=f"Does {name}.",
         input_schema={"type": "object", "properties": properties},
+        output_schema=note if pattern else None,
         annotations=types.ToolAnnotations(read_only_hint=True, destructive_hint=False),
     )
 
@@ -77,6 +85,10 @@ async def _call(ctx: Any, params: types.CallToolRequestParams) -> types.CallTool
         asyncio.get_running_loop().call_later(0.2, os._exit, 0)
     if "hangs" in FAULTS and params.name != "say":
         await asyncio.sleep(3_600)
+    while "waits" in FAULTS and not CALLS.with_name("go").exists():
+        await asyncio.sleep(0.01)
+    if FAULTS & PATTERNS.keys():
+        return types.CallToolResult(content=[], structured_content={"note": SLOW})
     text = "x" * 1_000_000 if "huge" in FAULTS else SIGN
     if "odd" in FAULTS:
         raise ValueError("a fault of its own")
@@ -153,6 +165,41 @@ class EndsSession:
         await self._app(scope, again, send)
 
 
+class Floods:
+    """Answers each call with more than anybody keeps: without an end, or packed.
+
+    Args:
+        app: answers everything else.
+    """
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        event = await receive()
+        body = event.get("body", b"")
+        if scope["type"] != "http" or b'"tools/call"' not in body:
+            first = [event]
+
+            async def again() -> Any:
+                return first.pop() if first else await receive()
+
+            await self._app(scope, again, send)
+            return
+        with CALLS.open("a") as file:
+            file.write(json.dumps({"tool": json.loads(body)["params"]["name"]}) + "\n")
+        part, headers = b"x" * (1 << 20), [(b"content-type", b"application/json")]
+        begun = b'{"jsonrpc":"2.0","id":1,"result":{"content":[{"type":"text","text":"'
+        parts = [begun, *[part] * 64]
+        if "packed" in FAULTS:
+            parts = [gzip.compress(b"".join(parts))]
+            headers.append((b"content-encoding", b"gzip"))
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        for item in parts:
+            await send({"type": "http.response.body", "body": item, "more_body": True})
+        await send({"type": "http.response.body", "body": b""})
+
+
 async def _main() -> None:
     server = made()
     if "http" in FAULTS:  # no fault: it is reached so
@@ -163,6 +210,7 @@ async def _main() -> None:
         print(listening.getsockname()[1], flush=True)
         app: Any = server.streamable_http_app()
         app = EndsSession(app) if "ends-session" in FAULTS else app
+        app = Floods(app) if FAULTS & {"endless", "packed"} else app
         config = uvicorn.Config(app, log_level="warning")
         await uvicorn.Server(config).serve(sockets=[listening])
         return

@@ -296,6 +296,7 @@ def test_a_server_that_answers_late_has_answered(robot: Robot) -> None:
     server, deadman = robot.start("server", "slow", "brief"), robot.run("deadman")
     gate = robot.start("gate")
     deadman.says("armed")
+    deadman.says('"found"')  # else it looks for servers once a second, and the goal is over by then
     gate.tell("goal")
     server.event("goal began")
     begun = gate.send(signal.SIGKILL)

@@ -259,3 +259,48 @@ def test_every_figure_and_size_of_the_log_is_a_row_of_the_page(bench: Any) -> No
     assert "| one record | 1050 | 1623 | 32 | 0.5 | 2705.5 |" in table.storage(
         [{"what": "one record", **sizes}]
     )
+
+
+def _strangers(slow_ms: int) -> dict[str, dict[str, list[Any]]]:
+    """Return blocks in which a request takes 2 ms quiet, and so many beside who asks."""
+    import listeners as run
+
+    def blocks(took_ms: int) -> list[Any]:
+        return [run.Block([took_ms * 1_000_000] * 20, [1_000_000] * 10, 4_096.0, 9_000_000)] * 2
+
+    return {
+        kind: {run.QUIET: blocks(2), run.CROWDED: blocks(slow_ms if kind == "asks" else 2)}
+        for kind in run.CROWDS
+    }
+
+
+@pytest.mark.parametrize(
+    ("slow_ms", "words", "missed"),
+    [
+        (10, ["--require", "5"], ""),
+        (11, ["--require", "5"], "above 5: requests beside asks\n"),
+        (11, [], ""),
+    ],
+)
+def test_a_crowd_that_takes_more_than_it_may_is_told_and_the_result_is_kept(
+    bench: Any,
+    slow_ms: int,
+    words: list[str],
+    missed: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    import listeners as run
+
+    monkeypatch.setattr(run, "measure", lambda *_: _strangers(slow_ms))
+    kept, page = tmp_path / "listeners.json", tmp_path / "page.md"
+    page.write_text(f"before\n{run.BEGIN}\nold\n{run.END}\nafter\n")
+    code = run.main(["--quick", "--json", str(kept), "--markdown", str(page), *words])
+    said = capsys.readouterr()
+    assert (code, said.err) == (1 if missed else 0, missed)
+    assert page.read_text() == f"before\n{run.BEGIN}\n{said.out}{run.END}\nafter\n"
+    assert f"| 8 `asks` | 9 | 2.0 / 2.0 | {slow_ms}.0 / {slow_ms}.0 |" in said.out
+    crowds = json.loads(kept.read_text())["crowds"]
+    assert set(crowds) == set(run.CROWDS)
+    assert crowds["asks"]["requests"]["p99_ratio"] == slow_ms / 2

@@ -303,6 +303,15 @@ def test_the_page_of_commands_names_every_command_with_its_options() -> None:
 
 
 @pytest.mark.smoke
+def test_the_page_of_listeners_is_the_one_struct() -> None:
+    import tables  # not above: this file is a program, too
+
+    page = (DOCS / "spec" / "listeners.md").read_text(encoding="utf-8")
+    shown = page.split("<!-- listeners -->\n")[1].split("\n<!-- end -->")[0]
+    assert shown == tables.listeners()
+
+
+@pytest.mark.smoke
 def test_every_dependency_has_its_line() -> None:
     import tomllib
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime, timedelta
-from http.client import HTTPConnection
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,10 @@ from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
 from authguard_r.anchoring.notary import Notary, NotaryPolicy
 from authguard_r.anchoring.outside import Why
 from authguard_r.anchoring.places import WitnessPlace, require_place
+from authguard_r.anchoring.quorum import WitnessPolicy
 from authguard_r.anchoring.witnesses import (
     MAX_ANSWER,
+    MOST_AWAY,
     NOTHING,
     Answer,
     Courier,
@@ -48,11 +51,17 @@ from authguard_r.keys.notes import cosign, verify_note
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.cases import case
-from fixtures.gate_process import until
+from fixtures.gate_process import PATIENCE_S, until
 from fixtures.restarting_gate import copied, signer
+from fixtures.slow_witness import KINDS, SlowWitness
 from fixtures.small_witness import ORIGIN, SIZE, SmallWitness, begin, log_keys, policy
 
 GO = scenarios.navigate("dock", "pharmacy")
+#: Of an exchange with a slow witness, and how much later it may be over, in seconds: the witness
+#: would keep it for far longer.
+LIMIT_S, MARGIN_S = 0.5, 10.0
+#: A name of many addresses.
+MANY = "many.example"
 
 
 @pytest.fixture
@@ -602,7 +611,7 @@ def test_a_request_is_what_c2sp_says() -> None:
 
 
 def answered(url: str) -> Answer:
-    return exchange(urlsplit(url), b"body", [])
+    return exchange(urlsplit(url), b"body", time.monotonic() + PATIENCE_S)
 
 
 def test_what_is_too_long_or_no_http_is_nothing(one: SmallWitness) -> None:
@@ -647,16 +656,164 @@ def test_over_tls_the_machines_own_authorities_say_who_a_witness_is(
 
 def test_a_witness_that_says_nothing_is_given_up_and_cut() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        courier = Courier(f"http://127.0.0.1:{server.getsockname()[1]}", limit_s=0.0)
+        courier = Courier(f"http://127.0.0.1:{server.getsockname()[1]}", limit_s=LIMIT_S)
         courier.send(b"body")
         connection, _ = server.accept()
         with connection:
             while not connection.recv(1 << 16).endswith(b"body"):
                 pass
-            assert courier.answer() == NOTHING
+            assert until(courier.answer, "the end") == NOTHING
             assert connection.recv(1) == b""
     assert not courier.away
     assert courier.answer() is None
+
+
+def test_after_its_time_nobody_is_connected_to() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = urlsplit(f"http://127.0.0.1:{server.getsockname()[1]}")
+        assert exchange(url, b"body", time.monotonic()) == NOTHING
+        server.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+def over_in_time(url: str, body: bytes = b"body") -> None:
+    """The exchange comes to nothing, long before the witness would let go."""
+    began = time.monotonic()
+    assert exchange(urlsplit(url), body, began + LIMIT_S) == NOTHING
+    assert time.monotonic() - began < LIMIT_S + MARGIN_S
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_witness_that_keeps_whoever_asks_is_given_up_in_time(kind: str) -> None:
+    with SlowWitness(kind) as slow:
+        over_in_time(slow.place.url)
+
+
+@pytest.mark.parametrize("kind", ["head", "body", "endless"])
+def test_a_witness_that_is_slow_inside_tls_is_given_up_in_time(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = certified(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(file))
+    with SlowWitness(kind, tls=file) as slow:
+        over_in_time(slow.place.url)
+
+
+@pytest.mark.parametrize("is_tls", [False, True])
+def test_a_witness_that_takes_a_request_in_small_pieces_is_given_up_in_time(
+    is_tls: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = certified(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(file))
+    with SlowWitness("deaf", tls=file if is_tls else None) as slow:
+        over_in_time(slow.place.url, bytes(8 << 20))
+
+
+def many_addresses(monkeypatch: pytest.MonkeyPatch, port: int, count: int) -> None:
+    """Have a name that the resolver gives so many addresses."""
+    there = (socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP, "", ("127.0.0.1", port))
+    asks = socket.getaddrinfo
+
+    def resolver(host: str, *given: Any, **more: Any) -> list[Any]:
+        return [there] * count if host == MANY else asks(host, *given, **more)
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolver)
+
+
+def test_a_name_with_many_addresses_where_nobody_answers_is_given_up_in_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as server, ExitStack() as held:
+        port = server.getsockname()[1]
+        for _ in range(4):  # its queue is full: whoever comes now is left without a word
+            waiting = held.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(("127.0.0.1", port))
+        many_addresses(monkeypatch, port, 200)
+        over_in_time(f"http://{MANY}:{port}")
+
+
+def test_the_next_address_of_a_name_is_asked_when_one_refuses(
+    one: SmallWitness, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = urlsplit(one.place.url).port
+    dead = (socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP, "", ("127.0.0.2", port))
+    many_addresses(monkeypatch, port or 0, 1)
+    asks = socket.getaddrinfo
+
+    def resolver(host: str, *given: Any, **more: Any) -> list[Any]:
+        return [dead] * (host == MANY) + asks(host, *given, **more)
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolver)
+    one.instead = [(200, "text/plain", b"here")]
+    assert answered(f"http://{MANY}:{port}").body == b"here"
+
+
+def carrying() -> set[threading.Thread]:
+    """Return the threads that carry a request."""
+    return {thread for thread in threading.enumerate() if thread.name == "witness"}
+
+
+def sockets() -> set[str]:
+    """Return the sockets of this process."""
+    found = set()
+    for name in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # the folder's own
+            found.add(str(name.readlink()))
+    return {name for name in found if name.startswith("socket:")}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_slow_witness_asked_again_and_again_piles_up_neither_threads_nor_sockets(
+    kind: str,
+) -> None:
+    others, held = carrying(), sockets()
+    with SlowWitness(kind) as slow:
+        courier = Courier(slow.place.url, limit_s=0.2)
+        for _ in range(20):
+            courier.send(b"body")
+            assert until(courier.answer, "the end") == NOTHING
+            assert len(carrying() - others) <= MOST_AWAY
+            assert len(sockets() - held) <= MOST_AWAY
+        until(lambda: not carrying() - others, "the end of every thread")
+        assert not sockets() - held
+
+
+def test_a_name_that_is_looked_up_without_an_end_takes_two_threads_and_no_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing ends a look-up from outside: those that have not ended are counted."""
+    others, found = carrying(), threading.Event()
+
+    def resolver(*_: Any, **__: Any) -> list[Any]:
+        found.wait(PATIENCE_S)
+        raise socket.gaierror
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolver)
+    courier = Courier("https://witness.example", limit_s=0.0)
+    for _ in range(20):
+        courier.send(b"body")
+        assert until(courier.answer, "the end") == NOTHING
+        assert len(carrying() - others) <= MOST_AWAY
+    found.set()
+    until(lambda: not carrying() - others, "the end of every thread")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_honest_witness_beside_a_slow_one_cosigns_in_the_same_round(
+    kind: str, one: SmallWitness
+) -> None:
+    with SlowWitness(kind) as slow:
+        places = (slow.place, one.place)  # the slow one is asked first
+        for quorum in (1, 2):
+            asked = WitnessPolicy(places=places, quorum=quorum)
+            one.forget()
+            sim = begin(MemoryStore(), NotaryPolicy(witnesses=asked))
+            assert states(sim)[1] == "cosigned"
+            assert states(sim)[0] in {"unasked", "unreachable"}  # one without an end is soon over
+            assert one.size == sim.gate.anchor.shown()["checkpoint"]
+            assert witness(sim)["confirmed"] == 1
 
 
 def test_one_request_is_on_its_way_at_a_time(one: SmallWitness) -> None:
@@ -676,14 +833,6 @@ def test_a_machine_without_threads_left_asks_nobody(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(threading.Thread, "start", none)
     courier = Courier("http://127.0.0.1:1")
     courier.send(b"body")
-    assert courier.answer() == NOTHING
-
-
-def test_a_connection_that_is_not_there_yet_is_not_cut() -> None:
-    courier = Courier("http://127.0.0.1:1", limit_s=0.0)
-    courier.send(b"body")
-    until(lambda: courier._opened, "the thread")
-    courier._opened.append(HTTPConnection("127.0.0.1", 1))
     assert courier.answer() == NOTHING
 
 

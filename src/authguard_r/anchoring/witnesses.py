@@ -11,9 +11,12 @@ import socket
 import ssl
 import threading
 import time
-from contextlib import suppress
-from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPException, HTTPResponse
+from io import BufferedReader, RawIOBase
 from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
 from urllib.parse import SplitResult, urlsplit
 
 from msgspec import Struct
@@ -22,10 +25,16 @@ from authguard_r.audit.note import Note, NoteKey, encode64, read_signatures
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.notes import Attested, verify_note
 
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
 #: Longest answer, in bytes: an ML-DSA-44 cosignature is 3 KiB.
 MAX_ANSWER = 1 << 16
-#: An exchange takes no longer, in seconds; then its connection is cut.
+#: An exchange takes no longer, in seconds, whatever comes meanwhile.
 LIMIT_S = 5.0
+#: Exchanges of one witness that have not ended, given up ones too: only looking up a name can take
+#: longer than `LIMIT_S`.
+MOST_AWAY = 2
 #: The content type of the size in a 409.
 SIZE_TYPE = "text/x.tlog.size"
 _PATH = "/add-checkpoint"
@@ -101,7 +110,7 @@ class Courier:
         self._limit_s = limit_s
         self._until = 0.0
         self._box: SimpleQueue[Answer] | None = None
-        self._opened: list[HTTPConnection] = []
+        self._threads: list[threading.Thread] = []
 
     @property
     def away(self) -> bool:
@@ -117,15 +126,22 @@ class Courier:
         if self._box is not None:
             raise RuntimeError("a request is on its way")
         self._until = time.monotonic() + self._limit_s
-        self._box, self._opened = SimpleQueue(), []
-        given = (self._url, body, self._box, self._opened)
+        self._box = SimpleQueue()
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        if len(self._threads) >= MOST_AWAY:
+            self._box.put(NOTHING)
+            return
+        given = (self._url, body, self._box, self._until)
+        thread = threading.Thread(target=_carry, args=given, daemon=True, name="witness")
         try:
-            threading.Thread(target=_carry, args=given, daemon=True, name="witness").start()
+            thread.start()
         except RuntimeError:  # no thread is to be had
             self._box.put(NOTHING)
+        else:
+            self._threads.append(thread)
 
     def answer(self, wait_s: float = 0.0) -> Answer | None:
-        """Return the answer once it is there; a late one is given up and its connection cut.
+        """Return the answer once it is there; a late one is given up.
 
         Args:
             wait_s: how long it is waited for.
@@ -138,43 +154,107 @@ class Courier:
             if time.monotonic() < self._until:
                 return None
             found = NOTHING
-            for connection in self._opened:
-                with suppress(OSError, AttributeError):  # it may not be connected yet, or any more
-                    connection.sock.shutdown(socket.SHUT_RDWR)
         self._box = None
         return found
 
 
-def exchange(url: SplitResult, body: bytes, opened: list[HTTPConnection]) -> Answer:
+def exchange(url: SplitResult, body: bytes, until: float) -> Answer:
     """Return what a witness answers; whatever goes wrong is `NOTHING`.
 
     Args:
         url: of the witness.
         body: what it is sent.
-        opened: the connection is put in here, so that somebody else can cut it.
+        until: the exchange is over by then, on the monotonic clock.
     """
-    host = url.hostname or ""
-    connection = (
-        HTTPSConnection(host, url.port, timeout=LIMIT_S, context=ssl.create_default_context())
-        if url.scheme == "https"
-        else HTTPConnection(host, url.port, timeout=LIMIT_S)
-    )
-    opened.append(connection)
     try:
-        headers = {"Content-Type": "text/plain; charset=utf-8", "Connection": "close"}
-        connection.request("POST", url.path.rstrip("/") + _PATH, body=body, headers=headers)
-        answer = connection.getresponse()
-        data = answer.read(MAX_ANSWER + 1)
-        if len(data) > MAX_ANSWER:
-            return NOTHING
-        return Answer(answer.status, answer.getheader("Content-Type", ""), data)
+        with _connected(url, until) as sock:
+            head = (
+                f"POST {url.path.rstrip('/')}{_PATH} HTTP/1.1",
+                f"Host: {url.netloc.rpartition('@')[2]}",
+                "Content-Type: text/plain; charset=utf-8",
+                f"Content-Length: {len(body)}",
+                "Connection: close",
+            )
+            sock.settimeout(_left(until))
+            sock.sendall("\r\n".join(head).encode("ascii") + b"\r\n\r\n" + body)
+            answer = HTTPResponse(_Read(sock, until), method="POST")  # type: ignore[arg-type]
+            answer.begin()
+            data = answer.read(MAX_ANSWER + 1)
+            if len(data) > MAX_ANSWER:
+                return NOTHING
+            return Answer(answer.status, answer.getheader("Content-Type", ""), data)
     except (OSError, HTTPException, ValueError):
         return NOTHING
-    finally:
-        connection.close()
 
 
-def _carry(
-    url: SplitResult, body: bytes, box: SimpleQueue[Answer], opened: list[HTTPConnection]
-) -> None:
-    box.put(exchange(url, body, opened))
+@contextmanager
+def _connected(url: SplitResult, until: float) -> Iterator[socket.socket]:
+    host, is_tls = url.hostname or "", url.scheme == "https"
+    port = url.port or (443 if is_tls else 80)
+    with _reached(host, port, until) as plain:
+        if not is_tls:
+            yield plain
+            return
+        context = ssl.create_default_context()
+        plain.settimeout(_left(until))
+        with context.wrap_socket(plain, server_hostname=host) as secured:
+            yield secured
+
+
+def _reached(host: str, port: int, until: float) -> socket.socket:
+    """Return a connection to the first address of a name where somebody answers.
+
+    All of them share the time that is left: who has a name's say can give it as many as he likes.
+
+    Raises:
+        OSError: nobody does.
+    """
+    failed: OSError = ConnectionRefusedError()
+    for *_, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        try:
+            return socket.create_connection((str(place[0]), port), timeout=_left(until))
+        except OSError as error:
+            failed = error
+    raise failed
+
+
+def _left(until: float) -> float:
+    """Return the seconds that are left.
+
+    Raises:
+        TimeoutError: none.
+    """
+    left = until - time.monotonic()
+    if left <= 0:
+        raise TimeoutError
+    return left
+
+
+class _Read(RawIOBase):
+    """A socket as `HTTPResponse` reads it: for as long as is left, not for so long at each read.
+
+    Args:
+        sock: what is read.
+        until: nothing is waited for after this.
+    """
+
+    def __init__(self, sock: socket.socket, until: float) -> None:
+        self._sock = sock
+        self._until = until
+
+    def makefile(self, _mode: str) -> BufferedReader:
+        """Return what the answer is read from."""
+        return BufferedReader(self)
+
+    def readable(self) -> bool:
+        """Return True: it is read."""
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        """Fill a part of a buffer with what comes next; 0: nothing comes any more."""
+        self._sock.settimeout(_left(self._until))
+        return self._sock.recv_into(buffer)
+
+
+def _carry(url: SplitResult, body: bytes, box: SimpleQueue[Answer], until: float) -> None:
+    box.put(exchange(url, body, until))

@@ -19,7 +19,7 @@ from authguard_r.core.errors import MalformedError, shown
 from authguard_r.drafting.profile import read_profile
 from authguard_r.drafting.proposal import Proposal, Proposer, Question, clarification
 from authguard_r.drafting.template import TemplateProposer
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.normalize.parse import read_json
 from authguard_r.site.source import convert, read_text
 
@@ -85,7 +85,7 @@ def _show(proposal: Proposal, out: Path | None, *, as_json: bool) -> int:
     head = [f"proposed by {proposal.proposer}; it authorizes nothing until it is signed", *noted]
     comments = "".join(f"# {_one_line(line)}\n" for line in head)
     if out is not None:
-        write_whole(out, (comments + text).encode("utf-8"))
+        write_whole(out, (comments + text).encode("utf-8"), mode=PRIVATE)
     payload = {
         "file": None if out is None else str(out),
         "proposer": proposal.proposer,

@@ -21,7 +21,7 @@ from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
 from authguard_r.templates import Hole, HoleKind, Instance, Template, covered, sign_instance
@@ -68,7 +68,7 @@ def sign_command(
     )
     mission = covered(instance, opened, instance.template)
     target = out or template.with_name(f"{instance.mid}.token")
-    write_whole(target, sign_instance(instance, signer))
+    write_whole(target, sign_instance(instance, signer), mode=PRIVATE)
     payload = {
         "file": str(target),
         "mid": instance.mid,

@@ -69,7 +69,8 @@ def mcp_command(
     Put it where the server's command stood in the client's configuration: the client is shown the
     bound tools, each call is decided by the gate, and only what the gate releases is called.
     """
-    from authguard_r.mcp.listening import listening, read_bearer, serve_http
+    from authguard_r.listening.ports import listening, read_bearer
+    from authguard_r.mcp.listening import serve_http
     from authguard_r.mcp.pins import read_pins
     from authguard_r.mcp.process import Setup, over_stdio, serve
 

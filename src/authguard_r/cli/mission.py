@@ -36,7 +36,7 @@ from authguard_r.compile.spoken import row_words
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
 
@@ -69,7 +69,7 @@ def compile_command(
     asks = may_ask(as_json=as_json, no_input=no_input)
     mission = ask_until(compiled, answers) if asks else compiled(answers)
     target = out or draft.with_suffix(".mission.json")
-    write_whole(target, encode(mission) + b"\n")
+    write_whole(target, encode(mission) + b"\n", mode=PRIVATE)
     hashed, findings, card = mission_digest(mission), lint(mission, model), review(mission, model)
     payload = {
         "file": str(target),

@@ -14,7 +14,6 @@ import typer
 
 from authguard_r.cli.exposition import exposition
 from authguard_r.client.link import wall_now
-from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import Trust, read_trust
@@ -80,6 +79,7 @@ def serve_command(
     """
     from authguard_r.client.keeping import GatePlace
     from authguard_r.http import process
+    from authguard_r.listening.ports import listening
 
     if openapi:
         sys.stdout.write(process.openapi(propose=propose).decode() + "\n")
@@ -100,7 +100,8 @@ def serve_command(
     doorkeeper = _doorkeeper(bearer, trust, RobotId(robot), roles)
     read_trust(trust)  # what is missing is said now; each connection reads it anew
     context = _tls(tls_cert, tls_key, client_certificates=client_certificates)
-    with _listening(listen, has_tls=context is not None) as made:
+    otherwise = "for a wider one give --tls-cert and --tls-key"
+    with listening(listen, wide=context is not None, otherwise=otherwise) as made:
         setup = process.Setup(
             where=GatePlace(
                 robot=RobotId(robot),
@@ -126,7 +127,7 @@ def _doorkeeper(
 ) -> Doorkeeper:
     """Return who says who may ask: by a token, by certificates, or by both."""
     from authguard_r.http.clients import ROLES, Certificates, Doorkeeper
-    from authguard_r.listening import read_bearer
+    from authguard_r.listening.ports import read_bearer
 
     if bearer is None and roles is None:
         text = "a port does not say who asks: give --token-file or --client-certificates"
@@ -148,18 +149,6 @@ def _tls(cert: Path | None, key: Path | None, *, client_certificates: bool) -> C
     if cert is None or key is None:
         return None
     return read_context(cert, key, client_certificates=client_certificates)
-
-
-def _listening(address: str, *, has_tls: bool) -> socket.socket:
-    from authguard_r.listening import listening
-
-    try:
-        return listening(address, wide=has_tls)
-    except MalformedError as error:
-        if has_tls:
-            raise
-        text = f"{error.message}; for a wider one give --tls-cert and --tls-key"
-        raise MalformedError(text, where=error.where) from error
 
 
 def _where(made: socket.socket, listen: str, url: str | None, *, has_tls: bool) -> str:

@@ -32,7 +32,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 
 _NO_SITE = "name the site with --site: nobody signs what was not shown"
@@ -220,10 +220,13 @@ def sign_shown(
 
 
 def write_signed(target: Path, token: bytes, confirmation: bytes) -> Path:
-    """Write the confirmation, then the token: no token is without its confirmation."""
+    """Write the confirmation, then the token: no token is without its confirmation.
+
+    Both say what a robot is to do: their owner alone reads them.
+    """
     beside = beside_token(target)
-    write_whole(beside, confirmation)
-    write_whole(target, token)
+    write_whole(beside, confirmation, mode=PRIVATE)
+    write_whole(target, token, mode=PRIVATE)
     return beside
 
 

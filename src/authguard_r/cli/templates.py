@@ -62,7 +62,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.files import write_whole
+from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
@@ -109,7 +109,7 @@ def compile_command(
     plain = read_yaml(read_text(draft), where=str(draft))
     template = compile_template(plain, load_site(site), now=wall_now(now))
     target = out or draft.with_suffix(".template.json")
-    write_whole(target, template_bytes(template))
+    write_whole(target, template_bytes(template), mode=PRIVATE)
     hashed = template_digest(template)
     payload = {"file": str(target), "digest": hashed, "template": msgspec.to_builtins(template)}
     emit(payload, [f"{target}", f"digest {hashed}"], as_json=as_json)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -144,20 +143,22 @@ def serve_command(
     Does not start when others can read or write the folder, when another process serves it, or
     when its files are gone or older than they were.
     """
+    from authguard_r.listening.journal import Lines
+    from authguard_r.listening.ports import listening
     from authguard_r.witness.desk import open_witness
-    from authguard_r.witness.journal import Journal
-    from authguard_r.witness.server import Ready, read_address, run_witness
+    from authguard_r.witness.server import LIMITS, Ready, run_witness
 
     def say(told: Ready) -> None:
         line = f"{told.name}: witnesses {told.logs} logs at {told.url} (pid {told.pid})"
         emit(msgspec.to_builtins(told), [line], as_json=as_json)
 
-    address = read_address(listen, behind_tls=behind_tls)
-    witness = open_witness(folder)
-    try:
-        run_witness(witness, address, say, journal=Journal(sys.stderr.fileno()))
-    finally:
-        witness.close()
+    otherwise = "others come through a proxy that ends TLS: --behind-tls"
+    with listening(listen, wide=behind_tls, otherwise=otherwise) as made:
+        witness = open_witness(folder)
+        try:
+            run_witness(witness, made, say, journal=Lines(most=LIMITS.lines))
+        finally:
+            witness.close()
     return 0
 
 

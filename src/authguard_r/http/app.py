@@ -23,7 +23,7 @@ from authguard_r.client.asynchronous import AsyncGateClient
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.http.deciding import Decider
-from authguard_r.http.edge import ROUTE
+from authguard_r.http.edge import LIMITS, ROUTE
 from authguard_r.http.faults import RequestError, of_away, of_http, of_malformed
 from authguard_r.http.link import AwayError, GateLink
 from authguard_r.http.messages import (
@@ -40,11 +40,8 @@ from authguard_r.http.messages import (
 )
 from authguard_r.http.operations import EVALUATION, EVALUATIONS, Operation
 from authguard_r.http.reading import read_body, read_words
-from authguard_r.listening import App, Receive, Scope, Send
-from authguard_r.normalize.parse import MAX_TEXT
+from authguard_r.listening.ports import App, Receive, Scope, Send
 
-#: A body is whole within this, in seconds.
-BODY_S = 10.0
 #: What a proposal's key looks like (`wire.messages.Key`).
 KEY = re.compile(r"\A[A-Za-z0-9_-]{1,64}\Z")
 _JSON = re.compile(r"\Aapplication/json(?:\s*;\s*charset=\"?utf-8\"?)?\Z", re.IGNORECASE)
@@ -147,6 +144,8 @@ def application(operations: tuple[Operation, ...], endpoints: Endpoints) -> App:
     router = Router(routes=routes, redirect_slashes=False)  # a path has one spelling
 
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        if b"%" in scope["raw_path"]:  # another spelling of what is there
+            raise of_http(404)
         scope["app"] = answer  # so that the router says what it misses instead of answering
         try:
             await router(scope, receive, send)
@@ -190,14 +189,14 @@ async def _body(request: Request, kind: type[Struct]) -> Any:
         raise RequestError(415, "MEDIA_TYPE_UNSUPPORTED", text, where="content-type")
     data = bytearray()
     try:
-        async with asyncio.timeout(BODY_S):
+        async with asyncio.timeout(LIMITS.body_s):
             async for chunk in request.stream():
                 data += chunk
-                if len(data) > MAX_TEXT:
-                    text = f"expected at most {MAX_TEXT} bytes"
+                if len(data) > LIMITS.body:
+                    text = f"expected at most {LIMITS.body} bytes"
                     raise RequestError(413, str(Reason.INPUT_TOO_LARGE), text, where="body")
     except TimeoutError:
-        text = f"expected it within {BODY_S:.0f} s"
+        text = f"expected it within {LIMITS.body_s:.0f} s"
         raise RequestError(
             408, "TOO_SLOW", text, where="body", headers={"connection": "close"}
         ) from None

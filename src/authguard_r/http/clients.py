@@ -18,10 +18,9 @@ from authguard_r.core.reasons import Reason
 from authguard_r.http.faults import RequestError, of_away
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import Trust
-from authguard_r.listening import shows
+from authguard_r.listening.guests import CHAIN
+from authguard_r.listening.ports import shows
 
-#: Where a connection's certificates stand in a request's scope; no header can.
-CHAIN = "authguard_r.chain"
 #: Who may ask unless somebody says otherwise.
 ROLES = frozenset({Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER})
 #: Certificates that no longer hold, or never did: show another one.

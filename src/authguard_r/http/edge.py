@@ -6,22 +6,21 @@ Spec page: docs/spec/http.md#limits
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 import time
 from typing import Any
 
 from authguard_r.core.reasons import Reason
 from authguard_r.http.clients import Doorkeeper
-from authguard_r.http.faults import RequestError, of_away, of_fault
-from authguard_r.http.link import busy
-from authguard_r.listening import App, Receive, Scope, Send
+from authguard_r.http.faults import RequestError, of_fault
+from authguard_r.listening.guests import GoneError, let_in
+from authguard_r.listening.journal import Lines
+from authguard_r.listening.ports import App, Receive, Scope, Send
+from authguard_r.listening.room import Limits
+from authguard_r.normalize.parse import MAX_TEXT
 
-#: Most requests that are answered at a time; further ones are 503.
-MOST_REQUESTS = 1_024
-#: Longest head of a request, in bytes.
-MAX_HEAD = 16_384
+#: Of `authguard serve`.
+LIMITS = Limits(connections=512, body=MAX_TEXT)
 #: Longest number that a client gives its request, in bytes.
 MAX_ID = 256
 #: Where a handler leaves the template of its path and the code of its refusal, for the line.
@@ -34,12 +33,6 @@ _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"
 _ALWAYS = ((b"cache-control", b"no-store"), (b"x-content-type-options", b"nosniff"))
 
 
-def say(line: dict[str, Any]) -> None:
-    """Write a line of the log."""
-    sys.stderr.write(json.dumps({"time_ms": time.time_ns() // 1_000_000, **line}) + "\n")
-    sys.stderr.flush()
-
-
 class Edge:
     """Stands before an application.
 
@@ -47,28 +40,32 @@ class Edge:
         app: answers whoever is let through.
         doorkeeper: says who may ask.
         hosts: names that a request may call this server by; None: any, behind TLS.
+        lines: the log. Requests that were not let in share a bound.
     """
 
-    def __init__(self, app: App, doorkeeper: Doorkeeper, hosts: frozenset[bytes] | None) -> None:
+    def __init__(
+        self, app: App, doorkeeper: Doorkeeper, hosts: frozenset[bytes] | None, lines: Lines
+    ) -> None:
         self._app = app
         self._doorkeeper = doorkeeper
         self._hosts = hosts
-        self._open = 0
+        self._lines = lines
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, and write down that it was."""
         answer = _Answer(scope, send)
-        self._open += 1
         try:
             answer.who = self._require(scope)
+            let_in(scope)
             await self._app(scope, receive, answer.send)
+        except GoneError:
+            return  # nothing is asked for whoever cannot be answered
         except RequestError as error:
             await answer.refuse(error)
         except Exception as error:  # noqa: BLE001 - a fault of ours is said, not thrown
             await answer.refuse(of_fault(error))
         finally:
-            self._open -= 1
-            say(answer.line())
+            self._lines.write(answer.line(), kind=None if answer.who else "refused")
 
     def _require(self, scope: Scope) -> str:
         """Return who asks, once the request may be read.
@@ -76,10 +73,8 @@ class Edge:
         Raises:
             RequestError: it may not.
         """
-        if self._open > MOST_REQUESTS:
-            raise of_away(busy("too many requests at a time"))
-        if _head_bytes(scope) > MAX_HEAD:
-            text = f"expected at most {MAX_HEAD} bytes"
+        if _head_bytes(scope) > LIMITS.head:
+            text = f"expected at most {LIMITS.head} bytes"
             raise RequestError(431, str(Reason.INPUT_TOO_LARGE), text, where="head")
         hosts = _values(scope, b"host")
         if self._hosts is not None and (len(hosts) != 1 or hosts[0].lower() not in self._hosts):

@@ -13,7 +13,6 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any
 
-import uvicorn
 from msgspec import Struct
 from OpenSSL import SSL
 
@@ -22,21 +21,18 @@ from authguard_r.client.link import Log, require_folder
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.http.app import Endpoints, application
 from authguard_r.http.clients import Doorkeeper
-from authguard_r.http.connection import Patient
 from authguard_r.http.deciding import Decider
-from authguard_r.http.edge import MAX_HEAD, Edge, say
+from authguard_r.http.edge import LIMITS, Edge
 from authguard_r.http.link import AwayError, GateLink
 from authguard_r.http.openapi import document
 from authguard_r.http.operations import operations_of
 from authguard_r.http.tls import Secured
-from authguard_r.listening import END_S, serve_until_told
+from authguard_r.listening.guests import Guest
+from authguard_r.listening.journal import Lines
+from authguard_r.listening.ports import App
+from authguard_r.listening.serving import serve_until_told
 from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
-
-#: Most connections at a time, idle ones too.
-MOST_CONNECTIONS = 2_048
-#: A connection that asks nothing more is kept so long, in seconds.
-IDLE_S = 5
 
 
 class Setup(Struct, frozen=True, kw_only=True):
@@ -77,7 +73,7 @@ async def serve(setup: Setup, made: socket.socket) -> None:
         AuthGuardError: there is a gate, and it is not the one that was meant.
     """
     require_folder(setup.where.run)
-    log = Log()
+    log, lines = Log(), Lines(most=LIMITS.lines)
     shadow = setup.where.mode is Mode.SHADOW
     operator = GateLink(setup.where, ClientRole.OPERATOR, log)
     planner = GateLink(setup.where, ClientRole.PLANNER, log) if setup.propose or shadow else None
@@ -91,9 +87,15 @@ async def serve(setup: Setup, made: socket.socket) -> None:
             planner=planner,
             disclosure=setup.disclosure,
         )
-        say({"event": "serving", "url": setup.url})
-        await serve_until_told(_config(setup, decider, operator), made)
-        say({"event": "end"})
+        app = _application(setup, decider, operator)
+        edge = Edge(app, setup.doorkeeper, setup.hosts, lines)
+        lines.write({"event": "serving", "url": setup.url})
+        if setup.tls is None:
+            await serve_until_told(edge, made, LIMITS, lines)
+        else:
+            make = partial(_secured, setup.tls)
+            await serve_until_told(edge, made, LIMITS, lines, make=make)
+        lines.write({"event": "end"})
     finally:
         await asyncio.gather(*(link.close() for link in links))
 
@@ -107,7 +109,7 @@ async def _try(link: GateLink) -> None:
             raise error.fault from None
 
 
-def _config(setup: Setup, decider: Decider, operator: GateLink) -> uvicorn.Config:
+def _application(setup: Setup, decider: Decider, operator: GateLink) -> App:
     endpoints = Endpoints(
         decider,
         operator,
@@ -115,24 +117,11 @@ def _config(setup: Setup, decider: Decider, operator: GateLink) -> uvicorn.Confi
         document=openapi(propose=setup.propose),
         metrics=setup.metrics,
     )
-    app = application(operations_of(propose=setup.propose), endpoints)
-    return uvicorn.Config(
-        Edge(app, setup.doorkeeper, setup.hosts),
-        http=Patient if setup.tls is None else partial(_secured, setup.tls),  # type: ignore[arg-type]
-        ws="none",
-        lifespan="off",
-        log_config=None,
-        log_level="critical",  # one line of ours for each request is the log
-        access_log=False,
-        server_header=False,
-        limit_concurrency=MOST_CONNECTIONS,
-        h11_max_incomplete_event_size=MAX_HEAD,
-        timeout_keep_alive=IDLE_S,
-        timeout_graceful_shutdown=END_S,
-        proxy_headers=False,  # nobody in between is believed
-    )
+    return application(operations_of(propose=setup.propose), endpoints)
 
 
-def _secured(context: SSL.Context, **given: Any) -> Secured:
+def _secured(
+    context: SSL.Context, guest: Guest, inner: Callable[[], asyncio.Protocol]
+) -> asyncio.Protocol:
     """Return the protocol of a new connection: HTTP inside TLS."""
-    return Secured(context, partial(Patient, **given))
+    return Secured(context, guest, inner)

@@ -18,12 +18,10 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from OpenSSL import SSL
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.http.clients import CHAIN
 from authguard_r.keys.files import read_private
 from authguard_r.keys.trust import read_file
+from authguard_r.listening.guests import CHAIN, Guest
 
-#: A handshake is over within this, in seconds.
-HANDSHAKE_S = 10.0
 #: Most bytes that are given to OpenSSL, or taken from it, at once.
 _CHUNK = 1 << 16
 
@@ -66,15 +64,19 @@ class Secured(asyncio.Protocol):
 
     Args:
         context: the server's certificate, and whether a client's is asked for.
+        guest: whose connection it is.
         make: makes the protocol inside.
     """
 
     _outer: asyncio.Transport
     _late: asyncio.TimerHandle
 
-    def __init__(self, context: SSL.Context, make: Callable[[], asyncio.Protocol]) -> None:
+    def __init__(
+        self, context: SSL.Context, guest: Guest, make: Callable[[], asyncio.Protocol]
+    ) -> None:
         self._tls = SSL.Connection(context, None)
         self._tls.set_accept_state()
+        self._guest = guest
         self._inner = make()
         self._is_open = False
 
@@ -83,7 +85,9 @@ class Secured(asyncio.Protocol):
         if not isinstance(transport, asyncio.Transport):  # pragma: no cover - it is a stream
             raise TypeError("expected a stream")
         self._outer = transport
-        self._late = asyncio.get_running_loop().call_later(HANDSHAKE_S, transport.abort)
+        self._guest.arrive(transport)
+        loop = asyncio.get_running_loop()
+        self._late = loop.call_at(self._guest.until_s, transport.abort)
 
     def data_received(self, data: bytes) -> None:
         """Take what came; what is no TLS ends the connection."""
@@ -101,6 +105,7 @@ class Secured(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the protocol inside, if it knew of the connection."""
         self._late.cancel()
+        self._guest.leave()
         if self._is_open:
             self._is_open = False
             self._inner.connection_lost(exc)

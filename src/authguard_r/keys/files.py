@@ -19,6 +19,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import PrivateKey
 from authguard_r.keys.envelope import is_sealed
 
+#: Of what its owner alone reads: keys, and whatever says what a robot is to do.
+PRIVATE = 0o600
 #: How much of a file is read to see whether it is a private key.
 _HEAD_BYTES = 65_536
 _MARK = b"PRIVATE KEY-----"

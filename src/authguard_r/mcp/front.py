@@ -24,6 +24,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.mcp import asking
 from authguard_r.mcp.answers import answer_of, texts_of
 from authguard_r.mcp.pins import Pins
+from authguard_r.mcp.turns import Turns
 from authguard_r.mcp.unreadable import UNREADABLE
 from authguard_r.normalize.binding import Binding, ways_of
 from authguard_r.site.model import Site
@@ -86,6 +87,7 @@ class Front:
         self._planner = planner
         self._tools = tools
         self._unguarded = unguarded
+        self._turns = Turns()
         self._waiting = 0
         self.server: Server[Any] = Server(
             _NAME,
@@ -103,17 +105,18 @@ class Front:
         said = asking.said(params)
         if said is asking.Said.NO:  # it only narrows; a yes is read nowhere
             return refused({"outcome": "reject", "reasons": []}, "not proposed again: declined")
-        answer, waits_for = await self._proposed(params, again=said is not None)
+        session = _session_of(ctx)
+        answer, waits_for = await self._proposed(params, session, again=said is not None)
         if waits_for is None or said is not None or not asking.can_ask(ctx):
             return answer
         if asking.is_modern(ctx):
             return asking.question(params.name, waits_for)
         if await asking.asked_to_go_on(ctx, params.name, waits_for):
-            answer, _ = await self._proposed(params, again=True)
+            answer, _ = await self._proposed(params, session, again=True)
         return answer
 
     async def _proposed(
-        self, params: types.CallToolRequestParams, *, again: bool
+        self, params: types.CallToolRequestParams, session: str | None, *, again: bool
     ) -> tuple[types.CallToolResult, int | None]:
         """Return what became of a call, and how many approvals it waits for: by the gate's word.
 
@@ -126,7 +129,7 @@ class Front:
                 await self._planner.unreadable(params.name, str(arguments[UNREADABLE]))
                 raise MalformedError("expected strict JSON, each key once", where="arguments")
             with self._room(arguments):
-                async with self._planner.turn:
+                async with self._turns.turn(session), self._planner.turn:
                     key = named(params, again=again)
                     asked = await self._planner.propose(params.name, arguments, key=key)
                     if self._unguarded is not None:
@@ -164,6 +167,13 @@ class Front:
             yield
         finally:
             self._waiting -= size
+
+
+def _session_of(ctx: Any) -> str | None:
+    """Return which session asks; None: the only one, or one of those that last for one request."""
+    headers = getattr(ctx.request, "headers", {})
+    name: str | None = headers.get("mcp-session-id")
+    return name
 
 
 def named(params: types.CallToolRequestParams, *, again: bool) -> str | None:

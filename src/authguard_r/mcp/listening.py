@@ -7,61 +7,81 @@ Spec page: docs/spec/mcp.md#http
 from __future__ import annotations
 
 import socket
+from collections.abc import MutableMapping, Sequence
+from typing import Any
 
-import uvicorn
-
-from authguard_r.listening import (
-    END_S,
-    App,
-    Receive,
-    Scope,
-    Send,
-    listening,
-    read_bearer,
-    serve_until_told,
-    shows,
-)
+from authguard_r.listening.guests import let_in
+from authguard_r.listening.journal import Lines
+from authguard_r.listening.ports import App, Receive, Scope, Send, shows
+from authguard_r.listening.room import Limits
+from authguard_r.listening.serving import serve_until_told
 from authguard_r.mcp.front import Front
+from authguard_r.mcp.sessions import IDLE_S, SESSIONS, Sessions
 from authguard_r.mcp.unreadable import held_to_json
-
-__all__ = ["guarded", "listening", "read_bearer", "serve_http"]
 
 #: Where clients go.
 PATH = "/mcp"
-#: Longest request, in bytes.
-MAX_REQUEST = 1 << 20
-#: Sessions at a time, and how long one that says nothing is kept, in seconds.
-SESSIONS, IDLE_S = 64, 1_800.0
+#: Of `authguard mcp --listen`.
+LIMITS = Limits(connections=256, body=1 << 20)
 
 
-def guarded(app: App, token: bytes) -> App:
-    """Return the application for those who show the token; anybody else has 401 and no more."""
+def guarded(app: App, token: bytes, lines: Lines) -> App:
+    """Return the application for those who show the token; anybody else has 401 and no more.
+
+    Args:
+        app: answers them.
+        token: what they show.
+        lines: the log: who was refused, and a fault of ours.
+    """
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
-        kind = scope["type"]
-        if kind == "lifespan" or (kind == "http" and shows(scope["headers"], token)):
+        if scope["type"] == "lifespan":
             await app(scope, receive, send)
-            return
-        headers = [(b"www-authenticate", b"Bearer"), (b"content-length", b"0")]
-        await send({"type": "http.response.start", "status": 401, "headers": headers})
-        await send({"type": "http.response.body", "body": b""})
+        elif scope["type"] == "http" and shows(scope["headers"], token):
+            let_in(scope)
+            await _answered(app, scope, receive, send, lines)
+        else:
+            lines.write({"event": "refused", "status": 401}, kind="refused")
+            await _answer(send, 401, [(b"www-authenticate", b"Bearer")])
 
     return serve
 
 
+async def _answered(app: App, scope: Scope, receive: Receive, send: Send, lines: Lines) -> None:
+    has_begun = False
+
+    async def noted(message: MutableMapping[str, Any]) -> None:
+        nonlocal has_begun
+        has_begun = True
+        await send(message)
+
+    try:
+        await app(scope, receive, noted)
+    except Exception as error:
+        lines.write({"event": "fault", "what": type(error).__name__})
+        if has_begun:
+            raise  # the connection ends
+        await _answer(send, 500)
+
+
+async def _answer(send: Send, status: int, more: Sequence[tuple[bytes, bytes]] = ()) -> None:
+    headers = [*more, (b"content-length", b"0")]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": b""})
+
+
 async def serve_http(front: Front, made: socket.socket, token: bytes) -> None:
-    """Serve until SIGTERM or SIGINT."""
+    """Serve until SIGTERM or SIGINT.
+
+    Raises:
+        EnvironmentFault: the process may not open files enough.
+    """
+    lines = Lines(most=LIMITS.lines)
     app = front.server.streamable_http_app(
         streamable_http_path=PATH,
-        max_request_body_size=MAX_REQUEST,
+        max_request_body_size=LIMITS.body,
         session_idle_timeout=IDLE_S,
-        max_sessions=SESSIONS,
+        max_sessions=2 * SESSIONS,
     )
-    config = uvicorn.Config(
-        guarded(held_to_json(app, MAX_REQUEST), token),
-        log_level="warning",
-        lifespan="on",
-        ws="none",
-        timeout_graceful_shutdown=END_S,
-    )
-    await serve_until_told(config, made)
+    judged = held_to_json(Sessions(app), LIMITS)
+    await serve_until_told(guarded(judged, token, lines), made, LIMITS, lines, has_lifespan=True)

@@ -20,17 +20,27 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import read_file
 
-SCHEMA = "authguard-r/mcp-tools/1"
-#: Longest file of pins, in bytes.
+SCHEMA = "authguard-r/mcp-tools/2"
+#: Kept names, descriptions and inputs alone: a server could change all else that it says.
+_OLD = "authguard-r/mcp-tools/1"
+#: Most that a server may say of its tools, in bytes.
 MAX_PINS = 4 << 20
 
 
 class Pin(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One tool: what the planner is shown of it. What it says of its own effects is left out."""
+    """One tool, as its server describes it.
+
+    Args:
+        name: its name.
+        description: what it is for; the planner is shown it.
+        schema: of its arguments; the planner is shown it.
+        more: all else that is said of it, by the protocol's names. The planner is shown none of it.
+    """
 
     name: str
     description: str = ""
     schema: dict[str, Any] = {}
+    more: dict[str, Any] = {}
 
 
 class Pins(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -52,17 +62,22 @@ def pins_of(tools: Iterable[types.Tool]) -> Pins:
     Raises:
         MalformedError: two tools have one name.
     """
-    pins = sorted(
-        (
-            Pin(name=t.name, description=t.description or "", schema=dict(t.input_schema))
-            for t in tools
-        ),
-        key=lambda pin: pin.name,
-    )
+    pins = sorted(map(_pin_of, tools), key=lambda pin: pin.name)
     names = [pin.name for pin in pins]
     if len(set(names)) != len(names):
         raise MalformedError("expected one tool of each name", where="tools")
     return Pins(schema=SCHEMA, tools=tuple(pins))
+
+
+def _pin_of(tool: types.Tool) -> Pin:
+    said = tool.model_dump(mode="json", by_alias=True, exclude_none=True)
+    shown = {"name", "description", "inputSchema"}
+    return Pin(
+        name=tool.name,
+        description=tool.description or "",
+        schema=dict(tool.input_schema),
+        more={name: said[name] for name in sorted(said.keys() - shown)},
+    )
 
 
 def read_pins(path: Path) -> Pins:
@@ -77,6 +92,13 @@ def read_pins(path: Path) -> Pins:
         found = msgspec.json.decode(data, type=Pins)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise MalformedError(str(error), where=str(path), reason=Reason.SCHEMA_INVALID) from error
+    if found.schema == _OLD:
+        raise MalformedError(
+            "these pins do not hold all that a server says of its tools: write them anew with "
+            "`authguard mcp-tools --out`, and compare them",
+            where=str(path),
+            reason=Reason.SCHEMA_INVALID,
+        )
     if found.schema != SCHEMA:
         raise MalformedError(f"expected `{SCHEMA}`", where=str(path), reason=Reason.SCHEMA_INVALID)
     return found

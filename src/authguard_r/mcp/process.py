@@ -7,6 +7,7 @@ that the gate has released. Spec page: docs/spec/mcp.md
 
 from __future__ import annotations
 
+import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -99,6 +100,8 @@ async def serve(setup: Setup, front_of: Callable[[Front], Awaitable[None]]) -> N
     Raises:
         EnvironmentFault: gate or server did not come.
     """
+    # the protocol's library writes a line for whatever a server says that it does not like
+    logging.getLogger("mcp").setLevel(logging.CRITICAL)
     try:
         async with Gateway(setup).running() as front:
             await front_of(front)

@@ -11,39 +11,30 @@ from __future__ import annotations
 import asyncio
 import os
 import stat
-import sys
 from asyncio.streams import FlowControlMixin
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
-from typing import Any
+from typing import Any, Protocol
 
 import anyio
 from mcp.server.stdio import stdio_server
 
-from authguard_r.mcp.unreadable import marked
+from authguard_r.mcp.unreadable import error_of, marked
 
-#: Longest message of a client, in bytes; it is let go after a longer one.
+#: Longest message of a client, in bytes; the rest of a longer one is not kept.
 MAX_MESSAGE = 4 << 20
 
 
-class _Lines:
-    """What a client says, line by line (`anyio.AsyncFile`, as far as it is read)."""
+class _Answers(Protocol):
+    """Where lines for the client go."""
 
-    def __init__(self, reader: asyncio.StreamReader | anyio.AsyncFile[bytes]) -> None:
-        self._reader = reader
+    async def write(self, text: str, /) -> object:
+        """Send it."""
+        ...
 
-    def __aiter__(self) -> _Lines:
-        return self
-
-    async def __anext__(self) -> str:
-        try:
-            line = await self._reader.readline()
-        except ValueError:  # longer than may be
-            sys.stderr.write(f"a message of more than {MAX_MESSAGE} bytes came: it ends here\n")
-            raise StopAsyncIteration from None
-        if not line:
-            raise StopAsyncIteration
-        return marked(line.decode(errors="replace"))
+    async def flush(self) -> None:
+        """Wait while the client does not read."""
+        ...
 
 
 class _Printed:
@@ -60,6 +51,54 @@ class _Printed:
         """Wait while the client does not read; one that is gone will say no more either."""
         with suppress(OSError):
             await self._writer.drain()
+
+
+class _Lines:
+    """What a client says, message by message (`anyio.AsyncFile`, as far as it is read).
+
+    What is no message is answered here.
+
+    Args:
+        reader: brings lines.
+        printed: where the client is answered.
+    """
+
+    def __init__(
+        self, reader: asyncio.StreamReader | anyio.AsyncFile[bytes], printed: _Answers
+    ) -> None:
+        self._reader = reader
+        self._printed = printed
+
+    def __aiter__(self) -> _Lines:
+        return self
+
+    async def __anext__(self) -> str:
+        while line := await self._line():
+            text = marked(line.decode(errors="replace"))
+            if text.isspace():
+                continue
+            error = error_of(text)
+            if error is None:
+                return text
+            await self._printed.write(error.decode() + "\n")
+            await self._printed.flush()
+        raise StopAsyncIteration
+
+    async def _line(self) -> bytes:
+        """Return the next line, and of one that is too long its end, which is no message."""
+        if not isinstance(self._reader, asyncio.StreamReader):
+            return await self._reader.readline()
+        is_cut = False
+        while True:
+            try:
+                line = await self._reader.readuntil(b"\n")
+            except asyncio.IncompleteReadError as error:
+                line = error.partial
+            except asyncio.LimitOverrunError as error:
+                await self._reader.readexactly(error.consumed)
+                is_cut = True
+                continue
+            return b"too long\n" if is_cut else line
 
 
 @asynccontextmanager
@@ -103,7 +142,8 @@ async def _connected(source: int, sink: int) -> AsyncIterator[tuple[Any, Any]]:
     incoming, _ = await loop.connect_read_pipe(lambda: protocol, os.fdopen(os.dup(source), "rb"))
     outgoing, mixin = await loop.connect_write_pipe(FlowControlMixin, os.fdopen(os.dup(sink), "wb"))
     try:
-        yield _Lines(reader), _Printed(asyncio.StreamWriter(outgoing, mixin, None, loop))
+        printed = _Printed(asyncio.StreamWriter(outgoing, mixin, None, loop))
+        yield _Lines(reader, printed), printed
     finally:
         incoming.close()
         outgoing.close()
@@ -113,4 +153,5 @@ async def _connected(source: int, sink: int) -> AsyncIterator[tuple[Any, Any]]:
 async def _opened(source: int, sink: int) -> AsyncIterator[tuple[Any, Any]]:
     """Yield both ends of files and terminals, which are read and written by worker threads."""
     with os.fdopen(os.dup(source), "rb") as incoming, os.fdopen(os.dup(sink), "w") as outgoing:
-        yield _Lines(anyio.wrap_file(incoming)), anyio.wrap_file(outgoing)
+        printed = anyio.wrap_file(outgoing)
+        yield _Lines(anyio.wrap_file(incoming), printed), printed

@@ -10,25 +10,22 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import (
-    AbstractAsyncContextManager,
-    AsyncExitStack,
-    asynccontextmanager,
-    suppress,
-)
+from collections.abc import Callable, Coroutine
+from contextlib import AbstractAsyncContextManager, suppress
 from typing import Any, TypeVar
 
 import anyio
 import mcp_types as types
-from mcp import Client, MCPError, StdioServerParameters, stdio_client
+from mcp import Client, ClientSession, MCPError
 
 from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, Log
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.reasons import Reason
 from authguard_r.mcp.answers import answer_from
-from authguard_r.mcp.pins import Pins, pins_of
+from authguard_r.mcp.child import child
+from authguard_r.mcp.pins import MAX_PINS, Pins, pins_of
+from authguard_r.mcp.remote import remote
 from authguard_r.tools.server import Answer, CallError
 
 T = TypeVar("T")
@@ -109,8 +106,8 @@ class Upstream:
         answer = None
         try:
             with anyio.fail_after(within_s):
-                async with Client(self._server[0]) as client:
-                    answer = await client.session.call_tool(tool, arguments)
+                async with Client(remote(self._server[0])) as client:
+                    answer = await _called(client.session, tool, arguments)
         except (MCPError, OSError, ValueError, RuntimeError, ExceptionGroup):
             if answer is None:  # how the session ends is nothing to the stop
                 raise
@@ -136,10 +133,12 @@ class Upstream:
             raise CallError("the tools' server is not there", sent=False)
         self._calls += 1
         try:
-            return await client.session.call_tool(tool, arguments, read_timeout_seconds=within_s)
+            return await _called(client.session, tool, arguments, within_s)
         except MCPError as error:
             if error.code in {types.REQUEST_TIMEOUT, types.CONNECTION_CLOSED}:
                 self._lost.set()
+                raise CallError(error.error.message, sent=True) from error
+            if error.code == types.PARSE_ERROR:  # there was an answer, and nobody can read it
                 raise CallError(error.error.message, sent=True) from error
             text = types.TextContent(type="text", text=f"{error.code}: {error.error.message}")
             return types.CallToolResult(content=[text], is_error=True)
@@ -172,7 +171,7 @@ class Upstream:
         """Connect and stay while it lasts; return whether its tools were what was pinned."""
         self._lost.clear()
         with anyio.fail_after(OPEN_S) as opening:
-            async with Client(_transport(self._server, self._environment, starting)) as client:
+            async with Client(self._transport(starting)) as client:
                 found = pins_of(await _tools(client))
                 opening.deadline = math.inf
                 if self.pins is None:
@@ -211,6 +210,9 @@ class Upstream:
             # else it is there, and has no ping
             return isinstance(error, MCPError) and error.code == types.METHOD_NOT_FOUND
         return True
+
+    def _transport(self, starting: asyncio.Lock) -> AbstractAsyncContextManager[Any]:
+        return _transport(self._server, self._environment, self._log, starting)
 
     def _gone(self) -> None:
         if self._client is not None:
@@ -256,7 +258,7 @@ async def listed(server: tuple[str, ...], environment: dict[str, str]) -> Pins:
 
     async def ask(starting: asyncio.Lock) -> Pins:
         with anyio.fail_after(OPEN_S):
-            async with Client(_transport(server, environment, starting)) as client:
+            async with Client(_transport(server, environment, Log(), starting)) as client:
                 return pins_of(await _tools(client))
 
     try:
@@ -276,33 +278,39 @@ async def _tools(client: Client) -> list[types.Tool]:
         ValueError: its list does not end.
     """
     found: list[types.Tool] = []
+    size = 0
     cursor: str | None = None
     for _ in range(_MOST_PAGES):
         page = await client.list_tools(cursor=cursor)
         found += page.tools
+        size += sum(len(tool.model_dump_json()) for tool in page.tools)
+        if size > MAX_PINS:
+            raise ValueError("the list of tools is too long")
         cursor = page.next_cursor
         if cursor is None:
             return found
     raise ValueError("the list of tools does not end")
 
 
+async def _called(
+    session: ClientSession, tool: str, arguments: dict[str, Any], within_s: float | None = None
+) -> types.CallToolResult:
+    """Return a tool's answer as it came.
+
+    Not by `call_tool`: it holds an answer to patterns that the server wrote, and one such pattern
+    can take hours.
+    """
+    asked = types.CallToolRequestParams(name=tool, arguments=arguments)
+    return await session.send_request(
+        types.CallToolRequest(params=asked), types.CallToolResult, within_s
+    )
+
+
 def _transport(
-    server: tuple[str, ...], environment: dict[str, str], starting: asyncio.Lock
-) -> str | AbstractAsyncContextManager[Any]:
-    if _is_url(server):
-        return server[0]
-    command, *arguments = server
-    there = StdioServerParameters(command=command, args=arguments, env=environment)
-    return _process(there, starting)
+    server: tuple[str, ...], environment: dict[str, str], log: Log, starting: asyncio.Lock
+) -> AbstractAsyncContextManager[Any]:
+    return remote(server[0]) if _is_url(server) else child(server, environment, log, starting)
 
 
 def _is_url(server: tuple[str, ...]) -> bool:
     return len(server) == 1 and server[0].startswith(("http://", "https://"))
-
-
-@asynccontextmanager
-async def _process(server: StdioServerParameters, starting: asyncio.Lock) -> AsyncIterator[Any]:
-    async with AsyncExitStack() as stack:
-        async with starting:
-            streams = await stack.enter_async_context(stdio_client(server))
-        yield streams

@@ -13,6 +13,7 @@ import stat
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
 from cryptography import x509
@@ -36,7 +37,7 @@ from authguard_r.ros.keystore import (
     robots_of,
 )
 from authguard_r.ros.map import RosMap
-from authguard_r.ros.rights import Rights, Way, actuating, rights_of
+from authguard_r.ros.rights import Rights, Way, actuating, rights_of, telling
 from authguard_r.ros.signed import open_text
 
 
@@ -48,6 +49,7 @@ class Code(StrEnum):
     FORGED = "SIGNATURE_INVALID"
     OPEN = "GOVERNANCE_OPEN"
     ACTUATES = "MAY_ACTUATE"
+    FALSIFIES = "MAY_FALSIFY"
     LACKS = "RIGHT_MISSING"
     WIDER = "RIGHT_BEYOND_MAP"
     SHARED = "KEY_SHARED"
@@ -263,7 +265,10 @@ def _permitted(
             yield Fault(code=Code.FOREIGN, where=enclave.name, message=message)
         if grant.until < now:
             yield Fault(code=Code.EXPIRED, where=enclave.name, message="its permissions have ended")
-    yield from _moving(enclave.name, grants, actuating(ros))
+    moving = partial(_writing, Code.ACTUATES, "moves the robot", actuating(ros))
+    falsifying = partial(_writing, Code.FALSIFIES, "says how the robot stands", telling(ros))
+    yield from moving(enclave.name, grants)
+    yield from falsifying(enclave.name, grants)
     if wanted is None:
         message = "expected no enclave but the map's: nobody says what its rights are for"
         yield Fault(code=Code.STRANGE, where=enclave.name, message=message)
@@ -271,14 +276,19 @@ def _permitted(
         yield from _differing(enclave.name, grants, wanted)
 
 
-def _moving(
-    name: str, grants: tuple[Opened, ...], moving: Mapping[str, frozenset[str]]
+def _writing(
+    code: Code,
+    does: str,
+    topics: Mapping[str, frozenset[str]],
+    name: str,
+    grants: tuple[Opened, ...],
 ) -> Iterator[Fault]:
-    for topic, allowed in sorted(moving.items()):
+    """Yield topics that an enclave may write and must not."""
+    for topic, allowed in sorted(topics.items()):
         if name not in allowed and any(grant.may(Way.WRITE, topic) for grant in grants):
             who = ", ".join(sorted(allowed)) or "nobody"
-            message = f"it may write `{topic}`, which moves the robot; expected {who} alone"
-            yield Fault(code=Code.ACTUATES, where=name, message=message)
+            message = f"it may write `{topic}`, which {does}; expected {who} alone"
+            yield Fault(code=code, where=name, message=message)
 
 
 def _differing(name: str, grants: tuple[Opened, ...], wanted: Rights) -> Iterator[Fault]:

@@ -22,6 +22,8 @@ from authguard_r.site.strict import convert, read_text, read_yaml, require_each
 SCHEMA = "authguard-r/ros-map/1"
 #: Everything that a planner may publish, call or read is below this.
 PLANNERS = "/llm"
+#: Where transforms are said.
+TRANSFORMS = ("/tf", "/tf_static")
 #: Domains whose ports every platform leaves free.
 MAX_DOMAIN = 101
 
@@ -144,6 +146,8 @@ class Position(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         odometry: a topic of `nav_msgs/msg/Odometry`; absent: the transform.
         frame: the frame that the coordinates have to be in.
         child: the robot's own frame.
+        shared: the enclaves of all processes that write transforms, where they are more than one:
+            each of them could say that the robot is somewhere else.
     """
 
     map: str
@@ -152,6 +156,12 @@ class Position(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     odometry: str = ""
     frame: str = "map"
     child: str = "base_link"
+    shared: tuple[str, ...] = ()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Where the place is said."""
+        return (self.odometry,) if self.odometry else TRANSFORMS
 
 
 class RosMap(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -226,6 +236,7 @@ def faults(ros: RosMap) -> Iterator[tuple[str, str]]:
     yield from _enclaves(ros)
     yield from _types(ros)
     yield from _strays(ros)
+    yield from _liars(ros)
 
 
 def _names(ros: RosMap) -> Iterator[tuple[str, str]]:
@@ -318,3 +329,38 @@ def _strays(ros: RosMap) -> Iterator[tuple[str, str]]:
                     yield f"processes.{enclave}.{word}", said
                 elif is_below(name, PLANNERS):
                     yield f"processes.{enclave}.{word}", f"`{name}` is the planner's"
+
+
+def _liars(ros: RosMap) -> Iterator[tuple[str, str]]:
+    """Yield who could say of the robot, or of us, what he does not know."""
+    told = {ros.decisions: ros.enclaves.gate, ros.status: ros.enclaves.gate}
+    told |= {ros.heartbeat: ros.enclaves.gate}
+    told |= {shown.private: shown.by for shown in ros.shown.values()}
+    for enclave, process in ros.processes.items():
+        for name in process.publishes:
+            if told.get(name, enclave) != enclave:
+                said = f"`{name}` is said by `{told[name]}` alone"
+                yield f"processes.{enclave}.publishes", said
+    if ros.position is not None:
+        yield from _place(ros, ros.position)
+
+
+def _place(ros: RosMap, position: Position) -> Iterator[tuple[str, str]]:
+    """Yield a place that nobody says, or that more say than are named."""
+    writers = sorted(writers_of(ros, position.topics))
+    topics = " or ".join(f"`{topic}`" for topic in position.topics)
+    if position.odometry and position.shared:
+        yield "position.shared", "expected it with transforms alone"
+    elif sorted(position.shared) != (writers if len(writers) > 1 and position.shared else []):
+        yield "position.shared", f"expected all who write {topics}: {', '.join(writers)}"
+    elif len(writers) != 1 and not position.shared:
+        who = ", ".join(writers) or "none"
+        mend = "" if position.odometry else ", or all of them in `position.shared`"
+        text = f"expected one process that writes {topics}{mend}, got {who}"
+        yield "position.odometry" if position.odometry else "position", text
+
+
+def writers_of(ros: RosMap, topics: tuple[str, ...]) -> frozenset[str]:
+    """Return the enclaves of the processes that write one of some topics."""
+    wrote = {enclave for enclave, it in ros.processes.items() if {*it.publishes} & {*topics}}
+    return frozenset(wrote | {it.by for it in ros.shown.values() if it.private in topics})

@@ -12,7 +12,7 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from authguard_r.ros.map import PLANNERS, Kind, Process, RosMap
+from authguard_r.ros.map import PLANNERS, Kind, Process, RosMap, writers_of
 
 #: The names of our own nodes.
 GATE_NODE = "/authguard/gate"
@@ -24,7 +24,6 @@ DIAGNOSTICS = "/diagnostics"
 #: Every node says here what became of its parameters, and some obey what is said there of their
 #: own: who must move nothing says it elsewhere, remapped to below `PLANNERS`.
 EVENTS = "/parameter_events"
-_TRANSFORMS = ("/tf", "/tf_static")
 _PARAMETERS = (
     "describe_parameters",
     "get_parameter_types",
@@ -43,8 +42,8 @@ _LIFECYCLE = (
 )
 #: Services of a node that change what it does.
 _SETTING = ("set_parameters", "set_parameters_atomically", "change_state")
-_ACTION_SERVICES = ("send_goal", "cancel_goal", "get_result")
 _ACTION_TOPICS = ("feedback", "status")
+_ACTION_SERVICES = ("send_goal", "cancel_goal", "get_result")
 
 
 class Way(StrEnum):
@@ -127,6 +126,17 @@ def actuating(ros: RosMap) -> dict[str, frozenset[str]]:
     return {topic: frozenset(enclaves) for topic, enclaves in found.items()}
 
 
+def telling(ros: RosMap) -> dict[str, frozenset[str]]:
+    """Return every topic of DDS that says how the robot stands, with who may write it."""
+    found: dict[str, frozenset[str]] = {}
+    position = ros.position
+    for topic in () if position is None else position.topics:
+        found[f"rt{topic}"] = writers_of(ros, (topic,))
+    for shown in ros.shown.values():
+        found[f"rt{shown.private}"] = writers_of(ros, (shown.private,))
+    return found
+
+
 def _allow(
     found: dict[str, set[str]], rights: Iterable[_Right], *enclaves: str, new: bool = True
 ) -> None:
@@ -173,7 +183,7 @@ def _planner(ros: RosMap) -> Iterator[_Right]:
 
 def _estimator(ros: RosMap) -> Iterator[_Right]:
     if ros.position is not None:
-        yield from _reads(*([ros.position.odometry] if ros.position.odometry else _TRANSFORMS))
+        yield from _reads(*ros.position.topics)
 
 
 def _process(process: Process) -> Iterator[_Right]:

@@ -17,7 +17,7 @@ from typing import Protocol
 from msgspec import Struct
 
 from authguard_r.client.controller import Told
-from authguard_r.client.link import mono_ms
+from authguard_r.client.link import Log, mono_ms
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, RobotId
@@ -27,7 +27,7 @@ from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.expected import Expected
 from authguard_r.normalize.rebuild import call_bytes
 from authguard_r.site.model import ActionModel, Site
-from authguard_r.tools.server import CallError, Server
+from authguard_r.tools.server import Answer, CallError, Server
 
 #: Longest time that a call may take, in seconds; the lease ends it before.
 LONGEST_S = 3_600.0
@@ -112,6 +112,7 @@ class ToolBody:
         server: carries out the calls.
         means: what it is driven with.
         changed: called when something ended.
+        log: says what failed.
     """
 
     sampled: frozenset[str] = frozenset()
@@ -119,9 +120,10 @@ class ToolBody:
     late_ms = 0
 
     def __init__(
-        self, rid: RobotId, server: Server, means: Means, changed: Callable[[], None]
+        self, rid: RobotId, server: Server, means: Means, changed: Callable[[], None], log: Log
     ) -> None:
         self.rid = rid
+        self._log = log
         self._server = server
         self._means = means
         self._changed = changed
@@ -129,6 +131,7 @@ class ToolBody:
         self._is_told = False  # to move, and nobody has said that it does not
         self._was_told = bool(means.stops)  # perhaps by a start before, which nobody remembers
         self._is_stopping = False
+        self._is_over = False
         self._task: asyncio.Task[None] | None = None
 
     @property
@@ -147,7 +150,7 @@ class ToolBody:
             ControllerError: no tool carries the action, the server is not there, or the robot is
                 still being stopped.
         """
-        if not self._server.ready:
+        if self._is_over or not self._server.ready:
             raise ControllerError("the tools' server is not there")
         if self._is_stopping:
             raise ControllerError("the robot is being stopped, and nobody says that it stands")
@@ -175,8 +178,7 @@ class ToolBody:
 
         What could not be stopped is tried again until it was.
         """
-        runs = self._flight is not None and self._flight.outcome() is None
-        if self._is_stopping or (self.stands and not runs):
+        if self._is_stopping or (self.stands and not self._runs()):
             return
         if self._task is not None:
             self._task.cancel()
@@ -187,15 +189,24 @@ class ToolBody:
         """Do nothing: time passes by itself."""
 
     async def let_go(self) -> None:
-        """Stop what was told to move, before its server is let go; not longer than `STOP_S`."""
+        """Stop what was told to move, and let another call end; not longer than `STOP_S`.
+
+        Then the gate is told how it ended, while somebody is there to say so. Nothing begins after.
+        """
+        self._is_over = True
         if self._is_told:
             self.brake()
-            with suppress(TimeoutError):
-                async with asyncio.timeout(STOP_S):
-                    while self._is_stopping:
-                        await asyncio.sleep(_LOOK_S)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(STOP_S):
+                while self._runs() or (self._is_told and self._is_stopping):
+                    await asyncio.sleep(_LOOK_S)
         if self._task is not None:
             self._task.cancel()
+        if self._runs():
+            self._ended(Outcome.UNKNOWN)
+
+    def _runs(self) -> bool:
+        return self._flight is not None and self._flight.outcome() is None
 
     async def _carry(
         self,
@@ -214,13 +225,15 @@ class ToolBody:
         """
         told, outcome = None, Outcome.UNKNOWN
         try:
-            arguments = json.loads(call_bytes(call))["arguments"]
-            answer = await self._server.call(call.tool, arguments, LONGEST_S, ticket=ticket)
+            wanted = self._means.binder.expected(call)
+            made = Call(call.tool, json.loads(call_bytes(call))["arguments"], call.where)
+            answer, done = await self._made(made, wanted, LONGEST_S, ticket)
         except CallError as error:
             if not error.sent:
                 self._is_told, outcome = before, Outcome.NOT_STARTED
+        except Exception as error:  # noqa: BLE001 - whatever it is, the call is over
+            self._log.say("fault", "tools", tool=call.tool, message=type(error).__name__)
         else:
-            done = answer.is_done(self._means.binder.expected(call))
             told, outcome = answer.told, Outcome.SUCCEEDED if done else Outcome.FAILED
             if flight.moves and (done or await self._stopped()):
                 self._is_told = self._was_told = False
@@ -255,12 +268,29 @@ class ToolBody:
         try:
             async with asyncio.timeout(STOP_S):
                 for call in self._means.stops:
-                    answer = await self._server.call(call.tool, call.arguments, STOP_S)
-                    if not answer.is_done(self._wanted(call)):
+                    _, done = await self._made(call, self._wanted(call), STOP_S)
+                    if not done:
                         return False
         except (CallError, TimeoutError):
             return False
         return bool(self._means.stops)
+
+    async def _made(
+        self, call: Call, wanted: Expected, within_s: float, ticket: Digest | None = None
+    ) -> tuple[Answer, bool]:
+        """Make a call; return its answer, and whether that says that it has done its work.
+
+        Raises:
+            CallError: no answer came, or none that can be carried: nobody knows what became of it.
+        """
+        try:
+            answer = await self._server.call(call.tool, call.arguments, within_s, ticket=ticket)
+            return answer, answer.is_done(wanted)
+        except (CallError, TimeoutError):
+            raise
+        except Exception as error:
+            self._log.say("fault", "tools", tool=call.tool, message=type(error).__name__)
+            raise CallError("its answer could not be carried", sent=True) from error
 
     def _wanted(self, call: Call) -> Expected:
         """Return what a stop call's answer has to say, where the binding knows the call."""

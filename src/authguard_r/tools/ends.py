@@ -98,7 +98,7 @@ class Ends:
             rebuilder=rebuilder or Rebuilder(place.site, place.binding),
             stops=place.stops,
         )
-        body = self._body = ToolBody(place.robot, server, means, self.look)
+        body = self._body = ToolBody(place.robot, server, means, self.look, log)
         self._proven = asyncio.Event()
         self._driver = Driver(
             body,

@@ -11,8 +11,8 @@ import asyncio
 import base64
 import binascii
 import json
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any, TypeVar
 
 from msgspec import Struct
 
@@ -22,6 +22,8 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedE
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import UNTOLD
 from authguard_r.wire.messages import ClientRole
+
+T = TypeVar("T")
 
 #: Characters that are noted at a time.
 MAX_NOTED = 30_000
@@ -87,6 +89,44 @@ class LostError(Exception):
         self.error = error
 
 
+class Turn:
+    """Who may ask the gate now: one after the other, and nobody before the last answer is there.
+
+    Whoever asked may give up. What he asked goes on, and the gate takes one proposal of a client.
+    """
+
+    def __init__(self) -> None:
+        self._lock = asyncio.Lock()  # first come, first served
+        self._going: asyncio.Future[Any] | None = None
+
+    def locked(self) -> bool:
+        """True while somebody has the turn, or what he asked goes on."""
+        return self._lock.locked() or self._going is not None
+
+    async def __aenter__(self) -> None:
+        await self._lock.acquire()
+        try:
+            if self._going is not None:
+                await asyncio.wait((self._going,))
+        except BaseException:
+            self._lock.release()
+            raise
+
+    async def __aexit__(self, *_: object) -> None:
+        self._lock.release()
+
+    async def kept(self, work: Coroutine[Any, Any, T]) -> T:
+        """Return what work brings that goes on, and keeps the turn, when nobody waits any more."""
+        going = self._going = asyncio.ensure_future(work)
+        going.add_done_callback(self._done)
+        return await asyncio.shield(going)
+
+    def _done(self, going: asyncio.Future[Any]) -> None:
+        self._going = None
+        if not going.cancelled():
+            going.exception()  # if nobody waits for it, nobody wants to know
+
+
 class Planner:
     """Proposes calls to a gate.
 
@@ -95,7 +135,7 @@ class Planner:
     """
 
     def __init__(self, place: GatePlace) -> None:
-        self.turn = asyncio.Lock()  # first come, first served; a gate takes one of a client
+        self.turn = Turn()
         self._kept = KeptGate(place, ClientRole.PLANNER)
         self._is_over = False
 
@@ -158,7 +198,7 @@ class Planner:
         """
         gate = await self.connected()
         try:
-            return await gate.propose(data, key=key, dialect=dialect, on_step=told)
+            return await self.turn.kept(gate.propose(data, key=key, dialect=dialect, on_step=told))
         except AuthGuardError as error:
             if not gate.is_open:
                 raise LostError(error) from error
@@ -177,7 +217,8 @@ class Planner:
         said = f"unreadable arguments of {tool}: {text}"[:MAX_NOTED]  # never JSON: it begins so
         async with self.turn:
             gate = await self.connected()
-            await gate.propose(said.encode(errors="backslashreplace"), dialect="json")
+            said_bytes = said.encode(errors="backslashreplace")
+            await self.turn.kept(gate.propose(said_bytes, dialect="json"))
 
     async def note(self, texts: Iterable[str], channel: str = UNTOLD) -> None:
         """Tell the gate what the planner is about to see.

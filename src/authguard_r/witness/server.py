@@ -19,53 +19,28 @@ from contextlib import contextmanager, suppress
 from errno import EMFILE, ENFILE
 from functools import partial
 from http import HTTPStatus
-from ipaddress import IPv4Address, IPv6Address, ip_address
 from types import FrameType
 from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.core.errors import EnvironmentFault, MalformedError
-from authguard_r.core.reasons import Reason
+from authguard_r.listening.journal import Lines
+from authguard_r.listening.room import Limits, Room, fitting
 from authguard_r.witness.desk import TEXT, Answer, Witness
-from authguard_r.witness.exchange import Broken, Reader, Request, answer_bytes
-from authguard_r.witness.journal import Journal
+from authguard_r.witness.exchange import MAX_HEAD, Broken, Reader, Request, answer_bytes
+from authguard_r.witness.rules import MAX_BYTES
 
 PATH = "/add-checkpoint"
 _CHUNK = 1 << 16
-_QUEUE = 128
 _CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
 
 
-class Limits(Struct, frozen=True, kw_only=True):
-    """How many connections there are, and how long each may take, in seconds.
-
-    Args:
-        connections: at one time.
-        request_s: from a request's first byte to its last; also until the first one begins.
-        idle_s: between two requests.
-        answer_s: for taking an answer.
-        linger_s: for hearing that the connection ends.
-    """
-
-    connections: int = 256
-    request_s: float = 10.0
-    idle_s: float = 60.0
-    answer_s: float = 10.0
-    linger_s: float = 2.0
-
-
-class Address(Struct, frozen=True):
-    """Where a witness listens."""
-
-    host: IPv4Address | IPv6Address
-    port: int
-
-    def text(self) -> str:
-        """Return it as it stands in a URL."""
-        return (
-            f"[{self.host}]:{self.port}" if self.host.version == 6 else f"{self.host}:{self.port}"
-        )
+#: Of `authguard witness serve`.
+LIMITS = Limits(connections=256, idle_s=60.0, head=MAX_HEAD, body=MAX_BYTES)
+#: Connections that are taken in before those that are there already have their turn.
+AT_ONCE = 16
+#: An end is heard within this, in seconds.
+LINGER_S = 2.0
 
 
 class Ready(Struct, frozen=True, kw_only=True):
@@ -82,14 +57,14 @@ class Ready(Struct, frozen=True, kw_only=True):
 class _Line:
     """One connection."""
 
-    def __init__(self, link: socket.socket, now: float, until: float) -> None:
+    def __init__(self, link: socket.socket, until: float) -> None:
         self.link = link
         self.reader = Reader()
         self.out = bytearray()
-        self.since = now
         self.until = until
         self.ends = False
         self.drains = False
+        self.is_gone = False
 
 
 class Server:
@@ -100,7 +75,7 @@ class Server:
         listener: listens already.
         wake: readable once it is to end.
         journal: for a line of each request.
-        limits: of connections and times.
+        limits: how many may be connected, and how long each may take.
     """
 
     def __init__(
@@ -109,14 +84,14 @@ class Server:
         listener: socket.socket,
         wake: socket.socket,
         *,
-        journal: Journal,
+        journal: Lines,
         limits: Limits,
     ) -> None:
         self._witness = witness
         self._listener = listener
         self._journal = journal
         self._limits = limits
-        self._lines: set[_Line] = set()
+        self._room: Room[_Line] = Room(limits.connections)
         self._waiting: list[_Line] = []
         self._is_ending = False
         self._selector = selectors.DefaultSelector()
@@ -127,7 +102,7 @@ class Server:
     def serve(self) -> None:
         """Serve; what was judged before the end is still answered."""
         try:
-            while self._lines or not self._is_ending:
+            while self._room.guests or not self._is_ending:
                 for key, _ in self._selector.select(self._pause()):
                     act: Callable[[], None] = key.data
                     act()
@@ -136,39 +111,39 @@ class Server:
                     self._next(line)
                 self._drop_late()
         finally:
-            for line in tuple(self._lines):
+            for line in self._room.guests:
                 self._drop(line)
             self._selector.close()
 
     def _pause(self) -> float | None:
         if self._waiting:
             return 0
-        soonest = min((line.until for line in self._lines), default=None)
+        soonest = min((line.until for line in self._room.guests), default=None)
         return None if soonest is None else max(0.0, soonest - time.monotonic())
 
     def _accept(self) -> None:
-        try:
-            link, _ = self._listener.accept()
-        except OSError as error:  # it is gone already, or there are no more files
-            self._make_room(0 if error.errno in {EMFILE, ENFILE} else self._limits.connections)
-        else:
+        for _ in range(AT_ONCE):
+            try:
+                link, _ = self._listener.accept()
+            except OSError as error:  # it is gone already, or there are no more files
+                if error.errno in {EMFILE, ENFILE}:
+                    self._make_room(self._room.spare())
+                return
             self._take(link)
 
     def _take(self, link: socket.socket) -> None:
-        self._make_room(self._limits.connections - 1)
         link.settimeout(0)
-        now = time.monotonic()
-        line = _Line(link, now, now + self._limits.request_s)
-        self._lines.add(line)
+        line = _Line(link, time.monotonic() + self._limits.first_s)
+        self._make_room(self._room.enter(line))
         self._selector.register(link, selectors.EVENT_READ, partial(self._read, line))
 
-    def _make_room(self, most: int) -> None:
-        """Drop one connection if there are more than that."""
-        if len(self._lines) > most:
-            self._drop(min(self._lines, key=lambda line: line.since))
+    def _make_room(self, gone: _Line | None) -> None:
+        if gone is not None:
+            self._drop(gone)
+            self._journal.write({"event": "crowded"}, kind="crowded", most=1)
 
     def _read(self, line: _Line) -> None:
-        if line not in self._lines:
+        if line.is_gone:
             return
         try:
             data = line.link.recv(_CHUNK)
@@ -178,13 +153,13 @@ class Server:
             self._drop(line)
         elif not line.drains:
             if line.reader.is_empty:
-                line.until = time.monotonic() + self._limits.request_s
+                line.until = time.monotonic() + self._limits.first_s
             line.reader.feed(data)
             self._next(line)
 
     def _next(self, line: _Line) -> None:
         """Answer the next request of a connection, if it is there."""
-        if line not in self._lines:
+        if line.is_gone:
             return
         asked = line.reader.next()
         if asked is None:
@@ -200,12 +175,12 @@ class Server:
             answer.status, answer.content, answer.body, stays=stays, bodiless=bodiless
         )
         line.ends = not stays
-        line.since = time.monotonic()
-        line.until = line.since + self._limits.answer_s
+        self._room.stir(line)
+        line.until = time.monotonic() + self._limits.take_s
         self._write(line)
 
     def _write(self, line: _Line) -> None:
-        if line not in self._lines:
+        if line.is_gone:
             return
         try:
             sent = line.link.send(line.out)
@@ -226,13 +201,13 @@ class Server:
         now = time.monotonic()
         if line.ends:
             # closed at once, what it still sends would make the system throw the answer away
-            line.drains, line.until = True, now + self._limits.linger_s
+            line.drains, line.until = True, now + LINGER_S
             with suppress(OSError):
                 line.link.shutdown(socket.SHUT_WR)
         elif line.reader.is_empty:
             line.until = now + self._limits.idle_s
         else:
-            line.until = now + self._limits.request_s
+            line.until = now + self._limits.first_s
             self._waiting.append(line)
 
     def _answered(self, asked: Request | Broken) -> Answer:
@@ -241,7 +216,9 @@ class Server:
         except Exception as error:  # noqa: BLE001 - a fault of ours is an answer that signs nothing
             told: dict[str, Any] = {"event": "fault", "what": type(error).__name__}
             answer = Answer(status=500, body=b"a fault of the witness\n", told=told)
-        self._journal.write({**answer.told, "status": answer.status}, time.time_ns() // 1_000_000)
+        # who shows no log's signature must not hide what one says that does
+        kind = "" if {"log", "what"} & answer.told.keys() else "refused"
+        self._journal.write({**answer.told, "status": answer.status}, kind=kind)
         return answer
 
     def _judged(self, asked: Request | Broken) -> Answer:
@@ -258,11 +235,12 @@ class Server:
 
     def _drop_late(self) -> None:
         now = time.monotonic()
-        for line in [line for line in self._lines if line.until <= now]:
+        for line in [line for line in self._room.guests if line.until <= now]:
             self._drop(line)
 
     def _drop(self, line: _Line) -> None:
-        self._lines.discard(line)
+        self._room.leave(line)
+        line.is_gone = True
         self._selector.unregister(line.link)
         line.link.close()
 
@@ -272,97 +250,48 @@ class Server:
         for key in tuple(self._selector.get_map().values()):
             if key.data in (self._accept, self._end):
                 self._selector.unregister(key.fileobj)
-        for line in tuple(self._lines):
+        for line in self._room.guests:
             line.ends = True
             if not line.out:
                 self._drop(line)
 
 
-def read_address(text: str, *, behind_tls: bool) -> Address:
-    """Return where to listen.
-
-    Args:
-        text: `127.0.0.1:8080` or `[::1]:8080`; port 0 is any that is free.
-        behind_tls: it may be an address that others reach.
-
-    Raises:
-        MalformedError: it is none, or others could reach it in the clear.
-    """
-    host, _, port = text.rpartition(":")
-    try:
-        address = Address(ip_address(host.removeprefix("[").removesuffix("]")), int(port))
-    except ValueError as error:
-        raise MalformedError("expected an address and a port", where="--listen") from error
-    if not (0 <= address.port < 1 << 16 and address.text() == text):
-        raise MalformedError("expected an address and a port", where="--listen")
-    if not (address.host.is_loopback or behind_tls):
-        raise MalformedError(
-            "expected an address of this machine alone; others come through a proxy that ends "
-            "TLS: --behind-tls",
-            where="--listen",
-        )
-    return address
-
-
-def listen(address: Address) -> socket.socket:
-    """Return a socket that listens there.
-
-    Raises:
-        EnvironmentFault: it cannot.
-    """
-    family = socket.AF_INET6 if address.host.version == 6 else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((str(address.host), address.port))
-        listener.listen(_QUEUE)
-    except OSError as error:
-        listener.close()
-        raise EnvironmentFault(
-            f"cannot listen: {error.strerror or error}",
-            reason=Reason.STORE_UNAVAILABLE,
-            where=address.text(),
-        ) from error
-    return listener
-
-
 def run_witness(
     witness: Witness,
-    address: Address,
+    made: socket.socket,
     ready: Callable[[Ready], None],
     *,
-    journal: Journal,
-    limits: Limits | None = None,
+    journal: Lines,
+    limits: Limits = LIMITS,
 ) -> None:
     """Serve until SIGTERM or SIGINT; the main thread's work.
 
     Args:
         witness: held; the caller lets it go.
-        address: where to listen.
+        made: listens.
         ready: called once clients can connect.
         journal: for a line of each request.
-        limits: of connections and times.
+        limits: how many may be connected, and how long each may take.
 
     Raises:
-        EnvironmentFault: nothing can listen there.
+        EnvironmentFault: the process may not open files enough.
     """
-    with listen(address) as listener:
-        woken, waking = socket.socketpair()
-        waking.settimeout(0)
-        with woken, waking, _ended_by(waking.fileno(), signal.SIGTERM, signal.SIGINT):
-            server = Server(witness, listener, woken, journal=journal, limits=limits or Limits())
-            bound = Address(address.host, listener.getsockname()[1])
-            identity = witness.book.identity
-            told = Ready(
-                ready=True,
-                name=identity.name,
-                key=identity.key,
-                url=f"http://{bound.text()}",
-                logs=witness.book.count,
-                pid=os.getpid(),
-            )
-            ready(told)
-            server.serve()
+    woken, waking = socket.socketpair()
+    waking.settimeout(0)
+    with woken, waking, _ended_by(waking.fileno(), signal.SIGTERM, signal.SIGINT):
+        server = Server(witness, made, woken, journal=journal, limits=fitting(limits))
+        host, port, *_ = made.getsockname()
+        identity = witness.book.identity
+        told = Ready(
+            ready=True,
+            name=identity.name,
+            key=identity.key,
+            url=f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}",
+            logs=witness.book.count,
+            pid=os.getpid(),
+        )
+        ready(told)
+        server.serve()
 
 
 def _refused(status: int) -> Answer:

@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.gate.journal import COUNTS_MS, MOST_LINES, Journal
+from authguard_r.gate.journal import COUNTS_MS, Journal
+from authguard_r.listening.journal import MOST_LINES
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.estop_fixtures import until
 from unit.gate.demo_site import FORBIDDEN, SCAN, House

@@ -14,14 +14,15 @@ import pytest
 from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log
 from authguard_r.core.identifiers import Identifier
-from authguard_r.http import edge, link
+from authguard_r.http import link
 from authguard_r.http.app import _as
 from authguard_r.http.clients import Doorkeeper
 from authguard_r.http.edge import Edge
 from authguard_r.http.link import AwayError, GateLink
 from authguard_r.http.messages import Status
 from authguard_r.keys.trust import read_trust
-from authguard_r.listening import listening
+from authguard_r.listening.journal import Lines
+from authguard_r.listening.ports import listening
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 
@@ -42,7 +43,7 @@ def answered(app: Any) -> list[dict[str, Any]]:
     async def send(message: Any) -> None:
         sent.append(message)
 
-    asyncio.run(Edge(app, Doorkeeper(TOKEN, None), None)(dict(SCOPE), None, send))  # type: ignore[arg-type]
+    asyncio.run(Edge(app, Doorkeeper(TOKEN, None), None, Lines(2))(dict(SCOPE), None, send))  # type: ignore[arg-type]
     return sent
 
 
@@ -55,26 +56,19 @@ async def begun(scope: Any, receive: Any, send: Any) -> None:
     raise ZeroDivisionError
 
 
-def test_a_fault_of_ours_is_said_without_what_it_holds(capsys: Any) -> None:
+def test_a_fault_of_ours_is_said_without_what_it_holds(capfd: Any) -> None:
     start, body = answered(broken)
     assert start["status"] == 500
     assert json.loads(body["body"])["code"] == "INTERNAL_FAULT"
     assert b"words" not in body["body"]
-    line = json.loads(capsys.readouterr().err)
+    line = json.loads(capfd.readouterr().err)
     assert (line["status"], line["code"]) == (500, "INTERNAL_FAULT")
 
 
-def test_an_answer_that_has_begun_is_not_begun_again(capsys: Any) -> None:
+def test_an_answer_that_has_begun_is_not_begun_again(capfd: Any) -> None:
     assert [message["type"] for message in answered(begun)] == ["http.response.start"]
-    line = json.loads(capsys.readouterr().err)
+    line = json.loads(capfd.readouterr().err)
     assert (line["status"], line["code"]) == (200, "INTERNAL_FAULT")
-
-
-def test_too_many_requests_at_a_time_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(edge, "MOST_REQUESTS", 0)
-    start, body = answered(broken)
-    assert (start["status"], json.loads(body["body"])["code"]) == (503, "BUSY")
-    assert (b"retry-after", b"1") in start["headers"]
 
 
 def test_what_the_gate_says_in_another_shape_is_no_answer() -> None:

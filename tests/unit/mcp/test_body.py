@@ -65,7 +65,7 @@ def test_what_no_tool_carries_is_not_begun() -> None:
     async def work(server: Upstream, _seen: list[bool]) -> None:
         site, binding = scenarios.site(), scenarios.binding()
         means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
-        body = ToolBody(scenarios.RID, server, means, lambda: None)
+        body = ToolBody(scenarios.RID, server, means, lambda: None, Log())
         wrong = replace(scenarios.navigate("dock", "pharmacy"), tool="no_such_tool")
         with pytest.raises(ControllerError):
             body.begin(wrong, scenarios.TICKET)
@@ -79,7 +79,7 @@ def test_a_brake_after_the_end_stops_nothing_a_second_time() -> None:
     async def work(server: Upstream, _seen: list[bool]) -> None:
         site, binding = scenarios.site(), scenarios.binding()
         means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
-        body = ToolBody(scenarios.RID, server, means, lambda: None)
+        body = ToolBody(scenarios.RID, server, means, lambda: None, Log())
         flight = body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         await until(lambda: flight.outcome() is not None)
         ended = flight.outcome()

@@ -39,9 +39,29 @@ def test_any_word_of_a_tool_that_changed_is_named() -> None:
     assert pins.differ(pins) == ()
 
 
-def test_what_a_server_says_of_its_harmlessness_is_not_kept() -> None:
-    loud = tool("a", annotations={"readOnlyHint": True}, title="Harmless")
-    assert pins_of([loud]) == pins_of([tool("a")])
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"outputSchema": {"type": "object", "properties": {"x": {"pattern": "^(a+)+$"}}}},
+        {"annotations": {"readOnlyHint": True}},
+        {"title": "Harmless"},
+        {"icons": [{"src": "https://example.org/a.png"}]},
+        {"execution": {"taskSupport": "optional"}},
+        {"_meta": {"a": "b"}},
+    ],
+    ids=lambda said: next(iter(said)),
+)
+def test_all_that_a_server_says_of_a_tool_is_kept(said: dict[str, object]) -> None:
+    plain, more = pins_of([tool("a")]), pins_of([tool("a", **said)])
+    assert plain.differ(more) == ("a",)
+    assert more.tools[0].more == said
+
+
+def test_older_pins_are_refused_with_what_helps(tmp_path: Path) -> None:
+    path = tmp_path / "pins.json"
+    path.write_bytes(b'{"schema": "authguard-r/mcp-tools/1", "tools": []}')
+    with pytest.raises(MalformedError, match="authguard mcp-tools --out"):
+        read_pins(path)
 
 
 def test_two_tools_of_one_name_are_refused() -> None:
@@ -55,9 +75,9 @@ def test_two_tools_of_one_name_are_refused() -> None:
         (b"", "truncated"),
         (b"{", "truncated"),
         (b"\xff", "malformed|utf-8"),
-        (b'{"schema": "authguard-r/mcp-tools/1", "tools": [{"name": 1}]}', "Expected `str`"),
-        (b'{"schema": "authguard-r/mcp-tools/1", "tools": [], "more": 1}', "unknown field"),
-        (b'{"schema": "authguard-r/mcp-tools/2", "tools": []}', "mcp-tools/1"),
+        (b'{"schema": "authguard-r/mcp-tools/2", "tools": [{"name": 1}]}', "Expected `str`"),
+        (b'{"schema": "authguard-r/mcp-tools/2", "tools": [], "more": 1}', "unknown field"),
+        (b'{"schema": "authguard-r/mcp-tools/3", "tools": []}', "mcp-tools/2"),
         (b"[" * 100_000, "."),
     ],
 )
@@ -70,4 +90,4 @@ def test_a_file_that_is_none_is_refused_by_name(tmp_path: Path, data: bytes, sai
 
 
 def test_no_tools_are_pins_too() -> None:
-    assert pins_of([]) == Pins(schema="authguard-r/mcp-tools/1", tools=())
+    assert pins_of([]) == Pins(schema="authguard-r/mcp-tools/2", tools=())

@@ -94,6 +94,12 @@ def test_l1_every_way_to_move_the_robot_is_one_that_is_found(keystore: Path, top
     assert (Code.LACKS, PLANNER) in codes
 
 
+@pytest.mark.parametrize("topic", ["rt/odom", "rt/camera/text"])
+def test_every_way_to_lie_about_the_robot_is_one_that_is_found(keystore: Path, topic: str) -> None:
+    resign(keystore, PLANNER, "permissions", {GOAL: f"{GOAL}<topic>{topic}</topic>"})
+    assert (Code.FALSIFIES, PLANNER) in found(keystore)
+
+
 ALLOWS = "<allow_rule><domains><id>42</id></domains>"
 
 

@@ -78,7 +78,12 @@ def test_a_map_with_a_fault_is_none_and_says_where() -> None:
         ("processes|/robot/camera|calls", ["/light"], "processes./robot/camera.calls"),
         ("processes|/robot/camera|publishes", ["/llm/sign"], "processes./robot/camera.publishes"),
         ("processes|/authguard/gate", {"nodes": ["/x"]}, "processes./authguard/gate"),
+        ("processes|/robot/camera|publishes", ["/authguard/status"], "/robot/camera.publishes"),
+        ("processes|/robot/camera|publishes", ["/authguard/heartbeat"], "/robot/camera.publishes"),
+        ("processes|/robot/base|publishes", ["/odom", "/camera/text"], "/robot/base.publishes"),
+        ("processes|/robot/camera|publishes", ["/fibonacci/_action/status"], "camera.publishes"),
         ("position|odometry", "odom", "position.odometry"),
+        ("position|shared", ["/robot/base"], "position.shared"),
         ("heartbeat", "/llm/heartbeat", "heartbeat"),
         ("decisions", "/cmd_vel", "decisions"),
         ("status", "/authguard/decisions", "status"),
@@ -90,6 +95,37 @@ def test_a_map_with_a_fault_is_none_and_says_where() -> None:
             with pytest.raises(MalformedError) as failed:
                 map_of(put(path, value))
             assert place in failed.value.where
+
+
+@pytest.mark.parametrize(
+    ("position", "writers", "where"),
+    [
+        ({"odometry": "/odom"}, {"base": ["/odom"]}, ""),
+        ({"odometry": "/odom"}, {"base": ["/odom"], "camera": ["/odom"]}, "position.odometry"),
+        ({"odometry": "/odom"}, {"base": ["/tf"]}, "position.odometry"),
+        ({}, {"base": ["/tf", "/tf_static"]}, ""),
+        ({}, {"base": ["/odom"]}, "position"),
+        ({}, {"base": ["/tf"], "camera": ["/tf_static"]}, "position"),
+        ({"shared": ["base", "camera"]}, {"base": ["/tf"], "camera": ["/tf_static"]}, ""),
+        ({"shared": ["base"]}, {"base": ["/tf"], "camera": ["/tf_static"]}, "position.shared"),
+        ({"shared": ["base"]}, {"base": ["/tf"]}, "position.shared"),
+        ({"shared": ["base", "camera"]}, {"base": ["/tf"]}, "position.shared"),
+    ],
+)  # fmt: skip
+def test_where_the_robot_is_one_process_says_or_each_that_may_is_named(
+    position: dict[str, Any], writers: dict[str, list[str]], where: str
+) -> None:
+    plain = deepcopy(plain_map())
+    shared = {"shared": [f"/robot/{name}" for name in position.get("shared", ())]}
+    plain["position"] = {"map": "main", "floor": 1, "margin_mm": 100, **position, **shared}
+    for name in ("base", "camera"):
+        plain["processes"][f"/robot/{name}"]["publishes"] = writers.get(name, [])
+    if not where:
+        assert map_of(plain).position is not None
+        return
+    with pytest.raises(MalformedError) as failed:
+        map_of(plain)
+    assert failed.value.where.rpartition(":")[2] == where
 
 
 def test_l2_names_are_the_executors_own_and_never_patterns() -> None:

@@ -14,6 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.client.controller import Told
+from authguard_r.client.link import Log
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
 from authguard_r.normalize import Binder
@@ -82,7 +83,7 @@ def body_of(
         rebuilder=Rebuilder(scenarios.site(), binding),
         stops=tuple(Call(stop, {"text": "halt"}, "stop") for stop in stops),
     )
-    return ToolBody(scenarios.RID, robot, means, lambda: None)
+    return ToolBody(scenarios.RID, robot, means, lambda: None, Log())
 
 
 async def until(holds: Callable[[], object]) -> None:
@@ -198,7 +199,10 @@ def test_who_lets_go_in_mid_motion_stops_first_and_does_not_wait_for_ever(
             assert robot.calls[:2] == ["navigate_to", "say"]
             assert body.stands is stands
         idle = Robot()
-        await body_of(idle, "say").let_go()
+        body = body_of(idle, "say")
+        await body.let_go()
+        with pytest.raises(ControllerError):  # who waited for a turn
+            body.begin(GO, TICKET)
         assert idle.calls == []
 
     asyncio.run(talk())
@@ -220,7 +224,7 @@ def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
             binder=Binder(scenarios.site(), scenarios.binding()),
             rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
         )
-        body = ToolBody(scenarios.RID, Silent(), means, ended.set)
+        body = ToolBody(scenarios.RID, Silent(), means, ended.set, Log())
         flight = body.begin(GO, TICKET)
         assert not body.stands
         await ended.wait()
@@ -230,3 +234,31 @@ def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
         assert flight.outcome() is Outcome.NOT_STARTED
 
     asyncio.run(talk())
+
+
+class Broken(Silent):
+    """A server whose answer cannot be carried."""
+
+    async def call(self, *_: Any, **__: Any) -> Answer:
+        raise ZeroDivisionError("a pattern of the server's own")
+
+
+def test_a_fault_while_an_answer_is_carried_ends_its_call_and_is_said(capsys: Any) -> None:
+    async def talk() -> None:
+        ended = asyncio.Event()
+        means = Means(
+            site=scenarios.site(),
+            binder=Binder(scenarios.site(), scenarios.binding()),
+            rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
+        )
+        body = ToolBody(scenarios.RID, Broken(), means, ended.set, Log())
+        flight = body.begin(GO, TICKET)
+        async with asyncio.timeout(10):
+            await ended.wait()
+        assert flight.outcome() is Outcome.UNKNOWN
+        assert not body.stands  # it may have been carried out
+
+    asyncio.run(talk())
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError" in said
+    assert "pattern" not in said

@@ -15,25 +15,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
-from authguard_r.core.errors import EnvironmentFault, MalformedError
+from authguard_r.listening.journal import Lines
+from authguard_r.listening.ports import listening
+from authguard_r.listening.room import Limits
 from authguard_r.witness.desk import Witness
-from authguard_r.witness.journal import MOST_LINES, Journal
-from authguard_r.witness.server import (
-    PATH,
-    Address,
-    Limits,
-    Ready,
-    Server,
-    listen,
-    read_address,
-    run_witness,
-)
-from fixtures.cases import case
+from authguard_r.witness.server import LIMITS, PATH, Ready, Server, run_witness
 from fixtures.witness_process import ORIGIN, SOON_S, Log, make, open_witness
 
-PATIENT = Limits()
-HASTY = Limits(request_s=0.2, idle_s=0.2, answer_s=0.2, linger_s=0.2)
+HASTY = replace(LIMITS, first_s=0.2, idle_s=0.2, take_s=0.2)
 GET = b"GET / HTTP/1.1\r\n\r\n"
 
 
@@ -78,9 +69,9 @@ def witness(tmp_path: Path, log: Log) -> Iterator[Witness]:
 
 
 @pytest.fixture
-def journal(tmp_path: Path) -> Iterator[Journal]:
+def journal(tmp_path: Path) -> Iterator[Lines]:
     with (tmp_path / "journal").open("wb") as file:
-        yield Journal(file.fileno())
+        yield Lines(file.fileno())
 
 
 def told(tmp_path: Path) -> list[dict[str, Any]]:
@@ -88,9 +79,9 @@ def told(tmp_path: Path) -> list[dict[str, Any]]:
 
 
 @contextmanager
-def door(witness: Witness, journal: Journal, limits: Limits = PATIENT) -> Iterator[Door]:
+def door(witness: Witness, journal: Lines, limits: Limits = LIMITS) -> Iterator[Door]:
     """A server that serves once it is started, and has ended afterwards."""
-    listener = listen(read_address("127.0.0.1:0", behind_tls=False))
+    listener = listening("127.0.0.1:0")
     woken, waking = socket.socketpair()
     with listener, woken, waking:
         server = Server(witness, listener, woken, journal=journal, limits=limits)
@@ -134,7 +125,7 @@ def ended(line: socket.socket) -> bool:
 
 
 def test_many_requests_on_one_connection_are_answered_in_order(
-    witness: Witness, journal: Journal, log: Log, tmp_path: Path
+    witness: Witness, journal: Lines, log: Log, tmp_path: Path
 ) -> None:
     with door(witness, journal) as made:
         bodies = [log.ask(0, 5), log.ask(5, 9), log.ask(5, 9), log.ask(9)]
@@ -163,7 +154,7 @@ def test_many_requests_on_one_connection_are_answered_in_order(
     ],
 )
 def test_what_is_not_the_one_call_is_refused(
-    witness: Witness, journal: Journal, sent: bytes, status: int, stays: bool
+    witness: Witness, journal: Lines, sent: bytes, status: int, stays: bool
 ) -> None:
     with door(witness, journal) as made:
         line = made.line(sent)
@@ -175,7 +166,7 @@ def test_what_is_not_the_one_call_is_refused(
             assert ended(line)
 
 
-def test_an_answer_to_head_has_no_body(witness: Witness, journal: Journal) -> None:
+def test_an_answer_to_head_has_no_body(witness: Witness, journal: Lines) -> None:
     with door(witness, journal) as made:
         line = made.line(b"HEAD / HTTP/1.1\r\n\r\n" + GET)
         data = b""
@@ -185,7 +176,7 @@ def test_an_answer_to_head_has_no_body(witness: Witness, journal: Journal) -> No
     assert data.split(b"\r\n\r\n")[1].startswith(b"HTTP/1.1 404")
 
 
-def test_who_waits_to_go_on_is_told_once(witness: Witness, journal: Journal, log: Log) -> None:
+def test_who_waits_to_go_on_is_told_once(witness: Witness, journal: Lines, log: Log) -> None:
     body = log.ask(0)
     with door(witness, journal) as made:
         line = made.line(post(body, "Expect: 100-continue")[: -len(body)])
@@ -196,7 +187,7 @@ def test_who_waits_to_go_on_is_told_once(witness: Witness, journal: Journal, log
 
 
 def test_an_answer_arrives_although_its_sender_never_stopped(
-    witness: Witness, journal: Journal
+    witness: Witness, journal: Lines
 ) -> None:
     head = f"POST {PATH} HTTP/1.1\r\nContent-Length: 99999999\r\n\r\n".encode()
     with door(witness, journal) as made:
@@ -207,7 +198,7 @@ def test_an_answer_arrives_although_its_sender_never_stopped(
 
 
 @pytest.mark.parametrize("sent", [b"", b"P", post(b"abc")[:-1], GET, GET + b"G"])
-def test_who_says_nothing_more_is_let_go(witness: Witness, journal: Journal, sent: bytes) -> None:
+def test_who_says_nothing_more_is_let_go(witness: Witness, journal: Lines, sent: bytes) -> None:
     with door(witness, journal, HASTY) as made:
         assert ended(made.line(sent))
 
@@ -219,14 +210,14 @@ def drip(line: socket.socket) -> None:
         threading.Event().wait(0.01)
 
 
-def test_who_drips_is_let_go_all_the_same(witness: Witness, journal: Journal) -> None:
+def test_who_drips_is_let_go_all_the_same(witness: Witness, journal: Lines) -> None:
     with door(witness, journal, HASTY) as made:
         line = made.line()
         with pytest.raises(OSError, match=r"Broken pipe|reset"):
             drip(line)
 
 
-def test_who_goes_away_is_forgotten(witness: Witness, journal: Journal, log: Log) -> None:
+def test_who_goes_away_is_forgotten(witness: Witness, journal: Lines, log: Log) -> None:
     with door(witness, journal) as made:
         made.line(b"PO").close()
         line = made.line(post(log.ask(0))[:-5])
@@ -235,8 +226,8 @@ def test_who_goes_away_is_forgotten(witness: Witness, journal: Journal, log: Log
         assert answer(made.line(post(log.ask(0))))[0] == 200
 
 
-def test_too_many_make_room_for_the_newest(witness: Witness, journal: Journal, log: Log) -> None:
-    with door(witness, journal, Limits(connections=4)) as made:
+def test_too_many_make_room_for_the_newest(witness: Witness, journal: Lines, log: Log) -> None:
+    with door(witness, journal, replace(LIMITS, connections=4)) as made:
         first = made.line(GET)
         assert answer(first)[0] == 404
         silent = [made.line() for _ in range(12)]
@@ -251,9 +242,9 @@ def test_too_many_make_room_for_the_newest(witness: Witness, journal: Journal, l
             assert answer(last)[0] == 404
 
 
-def idle(witness: Witness, journal: Journal, limits: Limits = PATIENT) -> Iterator[Server]:
+def idle(witness: Witness, journal: Lines, limits: Limits = LIMITS) -> Iterator[Server]:
     """A server whose loop the test runs by hand."""
-    listener = listen(read_address("127.0.0.1:0", behind_tls=False))
+    listener = listening("127.0.0.1:0")
     woken, waking = socket.socketpair()
     with listener, woken, waking:
         yield Server(witness, listener, woken, journal=journal, limits=limits)
@@ -262,7 +253,7 @@ def idle(witness: Witness, journal: Journal, limits: Limits = PATIENT) -> Iterat
 by_hand = contextmanager(idle)
 
 
-def test_when_no_file_is_left_one_connection_makes_room(witness: Witness, journal: Journal) -> None:
+def test_when_no_file_is_left_one_connection_makes_room(witness: Witness, journal: Lines) -> None:
     with by_hand(witness, journal) as server:
         server._accept()  # nobody is there any more
         mine, others = socket.socketpair()
@@ -278,7 +269,7 @@ def test_when_no_file_is_left_one_connection_makes_room(witness: Witness, journa
             resource.setrlimit(resource.RLIMIT_NOFILE, before)
         assert others.recv(1) == b""
         server._accept()
-        assert len(server._lines) == 1
+        assert len(server._room.guests) == 1
         ours.close()
         others.close()
         server._end()
@@ -287,14 +278,14 @@ def test_when_no_file_is_left_one_connection_makes_room(witness: Witness, journa
 
 
 def test_who_takes_no_answers_is_waited_for_and_holds_nobody(
-    witness: Witness, journal: Journal
+    witness: Witness, journal: Lines
 ) -> None:
     with by_hand(witness, journal) as server:
         mine, others = socket.socketpair()
         others.settimeout(SOON_S)
         mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
         server._take(mine)
-        (line,) = server._lines
+        (line,) = server._room.guests
         asked = 0
         while not line.out:  # until no answer fits any more
             others.send(GET)
@@ -316,12 +307,12 @@ def test_who_takes_no_answers_is_waited_for_and_holds_nobody(
 
 
 def test_what_comes_for_a_connection_that_is_gone_is_nothing(
-    witness: Witness, journal: Journal
+    witness: Witness, journal: Lines
 ) -> None:
     with by_hand(witness, journal) as server:
         mine, others = socket.socketpair()
         server._take(mine)
-        (line,) = server._lines
+        (line,) = server._room.guests
         line.reader.feed(GET)
         server._drop(line)
         for act in (server._read, server._next, server._write):
@@ -332,17 +323,17 @@ def test_what_comes_for_a_connection_that_is_gone_is_nothing(
         # its other end is gone before the answer
         mine, others = socket.socketpair()
         server._take(mine)
-        (line,) = server._lines
+        (line,) = server._room.guests
         others.send(GET)
         others.close()
         server._read(line)
-        assert server._lines == set()
+        assert server._room.guests == ()
         server._end()
         server.serve()
 
 
 def test_lines_that_are_open_when_the_loop_breaks_are_closed(
-    witness: Witness, journal: Journal, monkeypatch: pytest.MonkeyPatch
+    witness: Witness, journal: Lines, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with by_hand(witness, journal) as server:
         mine, others = socket.socketpair()
@@ -354,7 +345,7 @@ def test_lines_that_are_open_when_the_loop_breaks_are_closed(
         others.close()
 
 
-def test_an_end_closes_at_once_who_has_nothing_coming(witness: Witness, journal: Journal) -> None:
+def test_an_end_closes_at_once_who_has_nothing_coming(witness: Witness, journal: Lines) -> None:
     with door(witness, journal) as made:
         silent, half, told_off = made.line(), made.line(post(b"abc")[:-1]), made.line(b"\r\n\r\n")
         assert answer(told_off)[0] == 400
@@ -366,7 +357,7 @@ def test_an_end_closes_at_once_who_has_nothing_coming(witness: Witness, journal:
 
 
 def test_a_fault_of_ours_is_an_answer_that_signs_nothing(
-    witness: Witness, journal: Journal, log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    witness: Witness, journal: Lines, log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with door(witness, journal) as made:
         with monkeypatch.context() as patched:
@@ -377,53 +368,16 @@ def test_a_fault_of_ours_is_an_answer_that_signs_nothing(
     assert told(tmp_path)[0]["event"] == "fault"
 
 
-# where
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["127.0.0.1:0", "127.9.9.9:65535", "[::1]:80"],
-)
-def test_an_address_of_this_machine_alone_is_taken(text: str) -> None:
-    assert read_address(text, behind_tls=False).text() == text
-
-
-def test_what_is_no_address_is_refused() -> None:
-    for text in [
-        *("", ":80", "127.0.0.1", "localhost:80", "127.0.0.1:65536", "127.0.0.1:-1", "a:b"),
-        *("127.0.0.1:080", "127.0.0.1: 80", "::1:80", "[127.0.0.1]:80", "[::1:80"),
-        "[0:0:0:0:0:0:0:1]:80",
-    ]:
-        with case(text), pytest.raises(MalformedError):
-            read_address(text, behind_tls=True)
-
-
-@pytest.mark.parametrize("text", ["0.0.0.0:80", "[::]:80", "192.0.2.1:80", "[2001:db8::1]:80"])
-def test_an_address_that_others_reach_is_taken_only_behind_tls(text: str) -> None:
-    with pytest.raises(MalformedError, match="TLS"):
-        read_address(text, behind_tls=False)
-    assert read_address(text, behind_tls=True).text() == text
-
-
-def test_a_port_that_is_taken_is_a_fault_with_its_place() -> None:
-    with listen(read_address("127.0.0.1:0", behind_tls=False)) as held:
-        host, port = held.getsockname()
-        address = read_address(f"{host}:{port}", behind_tls=False)
-        with pytest.raises(EnvironmentFault) as found:
-            listen(address)
-    assert found.value.where == f"{host}:{port}"
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_serves_until_it_is_told_to_end(
-    witness: Witness, journal: Journal, log: Log, number: signal.Signals
+    witness: Witness, journal: Lines, log: Log, number: signal.Signals
 ) -> None:
     seen: list[Ready] = []
     before = signal.getsignal(number)
 
     def asks(ready: Ready) -> None:
         seen.append(ready)
-        host, _, port = ready.url.partition("//")[2].partition("/")[0].partition(":")
+        host, _, port = ready.url.partition("//")[2].rpartition(":")
 
         def ask() -> None:
             with socket.create_connection((host, int(port)), timeout=SOON_S) as line:
@@ -436,7 +390,8 @@ def test_it_serves_until_it_is_told_to_end(
 
     statuses: list[int] = []
     threads: list[threading.Thread] = []
-    run_witness(witness, read_address("127.0.0.1:0", behind_tls=False), asks, journal=journal)
+    with listening("127.0.0.1:0") as made:
+        run_witness(witness, made, asks, journal=journal)
     threads[0].join(SOON_S)
     assert statuses == [200]
     assert (seen[0].logs, seen[0].pid) == (1, os.getpid())
@@ -444,42 +399,11 @@ def test_it_serves_until_it_is_told_to_end(
     assert signal.getsignal(number) is before
 
 
-def test_ipv6_is_served_too(journal: Journal) -> None:
-    try:
-        with listen(Address(read_address("[::1]:0", behind_tls=False).host, 0)) as listener:
-            assert listener.family == socket.AF_INET6
-    except EnvironmentFault:
-        pytest.skip("this machine has no IPv6")
-
-
-# the journal
-
-
-def test_a_flood_is_counted_and_not_written(tmp_path: Path) -> None:
-    with (tmp_path / "journal").open("wb") as file:
-        written = Journal(file.fileno())
-        for number in range(MOST_LINES + 5):
-            written.write({"number": number}, 1_000)
-        written.write({"number": -1}, 2_000)
-    lines = told(tmp_path)
-    assert [line["number"] for line in lines] == [*range(MOST_LINES), -1]
-    assert lines[-1] == {"time_ms": 2_000, "number": -1, "dropped": 5}
-    assert all("dropped" not in line for line in lines[:-1])
-
-
-def test_a_journal_that_nobody_reads_is_not_waited_for() -> None:
-    reading, writing = os.pipe()
-    written = Journal(writing)
-    os.set_blocking(writing, False)
-    try:
-        while True:
-            os.write(writing, b"x" * 4_096)
-    except BlockingIOError:
-        os.set_blocking(writing, True)
-    written.write({"event": "lost"}, 0)
-    assert set(os.read(reading, 1 << 20)) == set(b"x")
-    written.write({"event": "kept"}, 0)
-    assert json.loads(os.read(reading, 1 << 16)) == {"time_ms": 0, "event": "kept", "dropped": 1}
-    os.close(reading)
-    os.close(writing)
-    written.write({"event": "nowhere"}, 0)
+def test_strangers_hide_nothing_that_is_said_of_a_log(
+    witness: Witness, journal: Lines, log: Log, tmp_path: Path
+) -> None:
+    with door(witness, journal) as made:
+        for _ in range(3 * LIMITS.lines):
+            assert answer(made.line(GET))[0] == 404
+        assert answer(made.line(post(log.ask(0))))[0] == 200
+    assert [line["event"] for line in told(tmp_path)].count("cosigned") == 1

@@ -3,30 +3,26 @@
 
 A Unix socket says whose process asks; a port does not. So nobody is served without a secret, and
 nothing listens wider than this machine unless its caller has said how that is made safe.
-Spec pages: docs/spec/mcp.md#http, docs/spec/http.md#who-may-ask
+Spec pages: docs/spec/listeners.md, docs/spec/http.md#who-may-ask
 """
 
 from __future__ import annotations
 
-import asyncio
 import hmac
 import ipaddress
 import socket
-from collections.abc import Awaitable, Callable, Iterable, Iterator, MutableMapping
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from pathlib import Path
 from typing import Any
 
-import uvicorn
-
-from authguard_r.client.link import until_told
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.files import read_private
 
-#: Answers that are under way are waited for so long at the end, in seconds.
-END_S = 2
+#: Connections that the system keeps until they are taken in; the kernel may keep fewer.
+QUEUE = 4_096
 _LEAST_TOKEN = 22
+_EXPECTED = "expected an address and a port, such as 127.0.0.1:8100"
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -54,12 +50,13 @@ def shows(headers: Iterable[tuple[bytes, bytes]], token: bytes) -> bool:
     return len(shown) == 1 and hmac.compare_digest(shown[0], b"Bearer " + token)
 
 
-def listening(address: str, *, wide: bool = False) -> socket.socket:
+def listening(address: str, *, wide: bool = False, otherwise: str = "") -> socket.socket:
     """Return a socket that listens on `HOST:PORT`; port 0 takes a free one.
 
     Args:
         address: a numeric address with a port.
         wide: it may be one that other machines reach.
+        otherwise: what makes it that, for the message.
 
     Raises:
         MalformedError: no such address, or one that others than this machine reach.
@@ -67,43 +64,25 @@ def listening(address: str, *, wide: bool = False) -> socket.socket:
     """
     host, _, port = address.rpartition(":")
     try:
-        is_own = ipaddress.ip_address(host.strip("[]")).is_loopback
+        place = ipaddress.ip_address(host.removeprefix("[").removesuffix("]"))
         number = int(port)
     except ValueError as error:
-        raise MalformedError("expected such as 127.0.0.1:8100", where="--listen") from error
-    if not (is_own or wide) or not 0 <= number <= 0xFFFF:
-        raise MalformedError("expected an address of this machine alone", where="--listen")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        raise MalformedError(_EXPECTED, where="--listen") from error
+    shown = f"[{place}]" if place.version == 6 else str(place)
+    if f"{shown}:{number}" != address or not 0 <= number <= 0xFFFF:
+        raise MalformedError(_EXPECTED, where="--listen")
+    if not (place.is_loopback or wide):
+        text = "expected an address of this machine alone" + (otherwise and f"; {otherwise}")
+        raise MalformedError(text, where="--listen")
+    family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
     # by its protocol's name, or asyncio leaves Nagle's algorithm on: 40 ms for an answer
     made = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        made.bind((host.strip("[]"), number))
-        made.listen(128)
+        made.bind((str(place), number))
+        made.listen(QUEUE)
     except OSError as error:
         made.close()
         text = error.strerror or "cannot listen"
         raise EnvironmentFault(text, reason=Reason.STORE_UNAVAILABLE, where=address) from error
     return made
-
-
-class _Server(uvicorn.Server):
-    """A server that leaves signals to whoever runs it: a clean end is exit 0."""
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
-        yield
-
-
-async def serve_until_told(config: uvicorn.Config, made: socket.socket) -> None:
-    """Serve until SIGTERM or SIGINT."""
-    server = _Server(config)
-
-    async def work(told: asyncio.Event) -> None:
-        serving = asyncio.ensure_future(server.serve(sockets=[made]))
-        await told.wait()
-        server.should_exit = True
-        await serving
-
-    await until_told(work)
