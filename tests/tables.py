@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the documents that are made from the code: `python tests/tables.py` prints them."""
+"""Tables of the documents that come from the code: `python tests/tables.py` prints them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ LISTENERS: dict[str, Limits] = {
 #: What each limit is called, and its unit.
 ROWS = {
     "connections": ("connections at one time", ""),
-    "first_s": ("from the connection, TLS included, to the first request's head", " s"),
-    "idle_s": ("nothing is asked between two requests", " s"),
-    "body_s": ("a request's body is whole within", " s"),
-    "take_s": ("an answer is taken within", " s"),
-    "head": ("head of a request", " bytes"),
-    "body": ("body of a request", " bytes"),
-    "lines": ("lines about strangers in a second, of each kind", ""),
+    "first_s": ("time to the first request's head, TLS included", " s"),
+    "idle_s": ("idle time between two requests", " s"),
+    "body_s": ("time to receive a body", " s"),
+    "take_s": ("time for the client to read an answer", " s"),
+    "head": ("longest head of a request", " bytes"),
+    "body": ("longest body of a request", " bytes"),
+    "lines": ("log lines of each kind per second", ""),
 }
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real port, strangers at it, and somebody whose request was let in.
 
-Source: docs/spec/listeners.md#who-has-to-go
+Source: docs/spec/listeners.md#which-connection-is-closed-when-the-limit-is-reached
 """
 
 from __future__ import annotations
