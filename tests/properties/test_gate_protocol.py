@@ -151,7 +151,12 @@ class Protocol(RuleBasedStateMachine):
     def turn(self) -> None:
         """One turn: one request, of whoever's it is."""
         by_name = {str(guest.client.name): guest for guest in self.here}
-        for name, kind, number in self.hall.turn():
+
+        async def work() -> list[tuple[str, Kind, int]]:
+            return self.hall.turn()
+
+        # in the loop: a client that is read again may have half a frame, and that starts a timer
+        for name, kind, number in self.runner.run(work()):
             guest = by_name[name]
             assert guest.waiting.pop(0) == (kind, number), "out of order"
             if kind is not Kind.PROPOSE:
@@ -163,7 +168,11 @@ class Protocol(RuleBasedStateMachine):
         """A proposal is answered."""
         if guest.client in self.hall.open and guest in self.here:
             guest.expected.append((Kind.REPLY, self.hall.open[guest.client]))
-            self.hall.finish(guest.client)
+
+            async def work() -> None:
+                self.hall.finish(guest.client)
+
+            self.runner.run(work())
             guest.proposed = False
             guest.read()
 
