@@ -10,9 +10,9 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.core.identifiers import Base64Url, Count, Digest, MissionId, Positive
 from authguard_r.core.lifecycle import Event
+from authguard_r.core.mission import DataClass
 from authguard_r.core.standing import Outcome
 
 

@@ -28,6 +28,7 @@ from authguard_r.core.ports import Clock, SafetyGate
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.core.risk import weights_of
 from authguard_r.core.standing import Outcome, Standing, advance, ask, close_request, reserve
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
@@ -252,6 +253,7 @@ class Enforcer:
             request=open_question(decision, verified, standing, now, risk=self._facts.risk),
             approvals=answered.tokens,
             answers=answered.approvals,
+            weights=weights_of(verified.mission.risk_policy, self._facts.risk),
         )
 
     def _commit(self, act: Act, judged: Judged) -> bool:
@@ -396,9 +398,7 @@ def evaluate(
     """
     labels = label_fields(action, verified, standing, base=base)
     action = msgspec.structs.replace(action, provenance=labels, meta=None)
-    decision = decide(
-        verified, action, state=state, facts=facts, now=now, standing=standing, approvals=()
-    )
+    decision = decide(verified, action, state=state, facts=facts, now=now, standing=standing)
     digested = digest_of(Tag.ACTION, action)
     return Judged(
         action=action,
@@ -410,4 +410,5 @@ def evaluate(
         state=state,
         now=now,
         ticket=digested,
+        weights=weights_of(verified.mission.risk_policy, facts.risk),
     )

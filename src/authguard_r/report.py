@@ -7,7 +7,7 @@ to, what counts and codes lies open. Spec page: docs/spec/audit-record.md
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -19,7 +19,8 @@ from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.finding import Finding, Findings, deviation
+from authguard_r.core.fields import Weights, deviation
+from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.identifiers import Digest, Identifier, MissionId
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import RiskPolicy
@@ -35,6 +36,8 @@ from authguard_r.normalize.context import Influence
 NOT_EVALUATED = "not evaluated"
 #: What the log calls a plan or a step that was refused before a decision.
 PROPOSAL = "proposal"
+#: What is said of weights that nobody signed: each field weighs 1.
+EQUAL = "equal"
 #: What the second gate says for want of newer state.
 _UNKNOWN = frozenset({Hazard.STATE_UNKNOWN, Hazard.NOT_EXECUTABLE})
 
@@ -55,6 +58,7 @@ class Judged(Struct, frozen=True, kw_only=True):
         request: a new approval request, when one is to be opened.
         approvals: tokens of the answers that were looked at.
         answers: the same, verified.
+        weights: w_j that D_M is measured with; none: all are equal.
     """
 
     action: Action
@@ -69,6 +73,13 @@ class Judged(Struct, frozen=True, kw_only=True):
     request: ApprovalRequest | None = None
     approvals: tuple[str, ...] = ()
     answers: tuple[VerifiedApproval, ...] = ()
+    weights: Weights = {}
+
+    @property
+    def deviation(self) -> Fraction:
+        """D_M of the action, 0 when the gate accepted it (`eq:action-deviation`)."""
+        found = self.decision.reasons
+        return deviation(found, self.weights) if found else Fraction(0)
 
     @property
     def released(self) -> bool:
@@ -159,7 +170,7 @@ def decision_entry(
         counted: who stands behind it (`questions.counted`), when people were asked.
     """
     decision, mission = judged.decision, judged.verified.mission
-    share = deviation(decision.findings, {}) if decision.findings else Fraction(0)
+    share = judged.deviation
     state = judged.state
     return Entry(
         kind="decision",
@@ -178,7 +189,7 @@ def decision_entry(
             "required": 1 if decision.need is None else decision.need.required,
             "risk": 0 if decision.need is None else decision.need.risk,
             "deviation": [share.numerator, share.denominator],
-            "weights": "equal",
+            "weights": dict(judged.weights) or EQUAL,
             "ticket": judged.ticket if judged.released else NONE,
             **({} if judged.request is None else {"asks": judged.request.counter}),
             **({"approvers": counted} if counted else {}),
@@ -326,15 +337,19 @@ def _safety_summary(safety: SafetyDecision | None) -> Any:
     return {"safe": safety.safe, "hazards": [finding.hazard for finding in safety.findings]}
 
 
-def plan_deviation(actions: tuple[Findings, ...], weights: dict[Reason, int]) -> Fraction:
+def plan_deviation(actions: Iterable[tuple[Reason, ...]], weights: Weights) -> Fraction:
     """Return D_M(P), the largest deviation of a plan's actions: one violation is enough.
+
+    Args:
+        actions: the reason codes of each action.
+        weights: w_j.
 
     Source: `eq:plan-deviation`
     """
-    return max((deviation(findings, weights) for findings in actions), default=Fraction(0))
+    return max((deviation(reasons, weights) for reasons in actions), default=Fraction(0))
 
 
-def average_deviation(actions: tuple[Findings, ...], weights: dict[Reason, int]) -> Fraction:
+def average_deviation(actions: Collection[tuple[Reason, ...]], weights: Weights) -> Fraction:
     """Return the average that experiments report beside D_M(P)."""
-    each = [deviation(findings, weights) for findings in actions]
+    each = [deviation(reasons, weights) for reasons in actions]
     return sum(each, Fraction(0)) / max(len(each), 1)

@@ -6,6 +6,7 @@ One spelling for the command line and for the answers of a gate. Spec page: docs
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -13,11 +14,19 @@ import msgspec
 
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Decision
-from authguard_r.core.finding import Finding, deviation
+from authguard_r.core.fields import Weights, violated_fields
+from authguard_r.core.finding import Finding
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import VerifiedMission
-from authguard_r.report import NOT_EVALUATED, Judged, Report
+from authguard_r.report import (
+    EQUAL,
+    NOT_EVALUATED,
+    Judged,
+    Report,
+    average_deviation,
+    plan_deviation,
+)
 
 
 def action_json(action: Action) -> dict[str, Any]:
@@ -70,12 +79,28 @@ def decision_json(judged: Judged, *, authoritative: bool) -> dict[str, Any]:
         "influenced_by": [],
         "grant": None if decision.match is None else decision.match.indexed.grant.id,
         "risk": None if decision.need is None else decision.need.risk,
-        "deviation": float(deviation(decision.findings, {})),
+        "deviation": float(judged.deviation),
+        "violated": list(violated_fields(decision.reasons)),
+        "weights": dict(judged.weights) or EQUAL,
         "mission": mission_json(judged.verified),
         "action_digest": judged.action_digest,
         "authoritative": authoritative,
         "action": action_json(judged.action),
         "safety": safety_json(judged.safety),
+    }
+
+
+def plan_json(judged: Sequence[Judged], weights: Weights) -> dict[str, Any]:
+    """Return how far a plan deviates, by these weights, or by the signed ones where none is given.
+
+    Source: `eq:plan-deviation`
+    """
+    weighed = weights or next((item.weights for item in judged), {})
+    reasons = tuple(item.decision.reasons for item in judged)
+    return {
+        "max": float(plan_deviation(reasons, weighed)),
+        "average": float(average_deviation(reasons, weighed)),
+        "weights": dict(weighed) or EQUAL,
     }
 
 

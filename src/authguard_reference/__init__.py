@@ -13,13 +13,13 @@ from authguard_reference.deviation import action_deviation, plan_deviation
 from authguard_reference.lease import permit, still
 from authguard_reference.metrics import btcr, frr, scmh, scmhr, su, uasr, wilson
 from authguard_reference.policy import authorized, decide
-from authguard_reference.reasons import ORDER, PROTECTED
+from authguard_reference.reasons import DECIDED, ORDER
 from authguard_reference.safety import hazards, safe
 from authguard_reference.standing import TRANSITIONS, is_complete, release, settle
 
 __all__ = [
+    "DECIDED",
     "ORDER",
-    "PROTECTED",
     "TRANSITIONS",
     "action_deviation",
     "authorized",

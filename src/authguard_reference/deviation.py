@@ -3,7 +3,7 @@
 
 from fractions import Fraction
 
-from authguard_reference.reasons import PROTECTED
+from authguard_reference.reasons import FIELD_OF, FIELDS
 
 
 def action_deviation(reasons: list[str], weights: dict[str, int] | None) -> Fraction:
@@ -11,7 +11,7 @@ def action_deviation(reasons: list[str], weights: dict[str, int] | None) -> Frac
 
     Args:
         reasons: The findings of one decision.
-        weights: w_j by reason; what is left out weighs 1.
+        weights: w_j by field; what is left out weighs 1.
 
     Returns:
         The weighted share of the protected fields that are violated.
@@ -20,14 +20,15 @@ def action_deviation(reasons: list[str], weights: dict[str, int] | None) -> Frac
         ValueError: If a weight is not positive.
     """
     given = weights if weights is not None else {}
+    violated = [FIELD_OF.get(reason, "") for reason in reasons]
     above = 0
     below = 0
-    for field in PROTECTED:
+    for field in FIELDS:
         weight = given.get(field, 1)
         if weight <= 0:
             raise ValueError("the paper wants every weight above zero")
-        violated = 1 if field in reasons else 0
-        above += weight * violated
+        d = 1 if field in violated else 0
+        above += weight * d
         below += weight
     return Fraction(above, below)
 

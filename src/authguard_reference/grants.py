@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Step 6 of `alg:authguard`, of each grant and each row: a in Pi_M(s, t), `eq:policy-set`.
 
-Also the provenance check after `tab:provenance` (docs/spec/provenance.md). A list of findings
-may hold a code more than once: every violation counts.
+The provenance check is in `sources`. A list of findings may hold a code more than once: every
+violation counts.
 """
 
 from typing import Any
 
 from authguard_reference.place import guards_findings, place_of, pose_of, unfit
+from authguard_reference.sources import provenance_findings, rows_in_question
 from authguard_reference.standing import uses_of
 
 Json = dict[str, Any]
@@ -134,50 +135,6 @@ def budget_findings(
     return found
 
 
-def rows_in_question(grant: Json, standing: Json | None) -> list[int]:
-    """List the rows that may match.
-
-    Args:
-        grant: The grant.
-        standing: The standing, or None.
-
-    Returns:
-        The index of the selected row if a selection names one, else of all rows.
-    """
-    indices = list(range(len(grant["alternatives"])))
-    held = standing if standing is not None else {}
-    selected = held.get("selected", {}).get(grant["id"])
-    return [selected] if selected in indices else indices
-
-
-def provenance_findings(grant: Json, action: Json, standing: Json | None) -> list[str]:
-    """Check that nobody unauthorized chose between rows.
-
-    Args:
-        grant: The grant.
-        action: The normalized action.
-        standing: The standing, or None.
-
-    Returns:
-        PROVENANCE_DENIED for object and for destination, each.
-    """
-    rows = grant["alternatives"]
-    if len(rows) == 1 or grant.get("chooser") == "planner":
-        return []
-    open_rows = [rows[index] for index in rows_in_question(grant, standing)]
-    by_source = [
-        row for row in open_rows if "source" not in row or row["source"] == action.get("source")
-    ]
-    if by_source != []:
-        open_rows = by_source
-    found: list[str] = []
-    for field in ("object", "destination"):
-        values = {row.get(field) for row in open_rows}  # absent counts as a value: None
-        if len(values) > 1:
-            found.append("PROVENANCE_DENIED")
-    return found
-
-
 def row_findings(
     row: Json, mission: Json, action: Json, *, state: Json | None, facts: Json, now: Json
 ) -> list[str]:
@@ -223,6 +180,7 @@ def grant_findings(
     facts: Json,
     now: Json,
     standing: Json | None,
+    issuer: str,
 ) -> list[str]:
     """Check the action against a grant, its rows left aside.
 
@@ -234,6 +192,7 @@ def grant_findings(
         facts: The facts of the site and the robot.
         now: The two clocks.
         standing: The standing, or None.
+        issuer: The label of what the mission's issuer signs.
 
     Returns:
         Every violation.
@@ -243,7 +202,9 @@ def grant_findings(
     found += use_findings(grant, mission, standing, now)
     found += budget_findings(grant, mission, action, facts, standing)
     found += guards_findings(grant.get("guards", []), state, facts, now)
-    found += provenance_findings(grant, action, standing)
+    found += provenance_findings(
+        grant, mission, action, facts=facts, standing=standing, issuer=issuer
+    )
     return found
 
 
@@ -255,6 +216,7 @@ def match(
     now: Json,
     *,
     standing: Json | None,
+    issuer: str,
 ) -> tuple[Json, int, list[str]]:
     """Find the matched grant and its row.
 
@@ -268,6 +230,7 @@ def match(
         facts: The facts of the site and the robot.
         now: The two clocks.
         standing: The standing, or None.
+        issuer: The label of what the mission's issuer signs.
 
     Returns:
         The grant, its row's index and the findings of both, repeats included.
@@ -275,7 +238,7 @@ def match(
     seen: Json = {"state": state, "facts": facts, "now": now}
     candidates: list[tuple[Json, int, list[str]]] = []
     for grant in mission["actions"]:
-        of_grant = grant_findings(grant, mission, action, standing=standing, **seen)
+        of_grant = grant_findings(grant, mission, action, standing=standing, issuer=issuer, **seen)
         for index in rows_in_question(grant, standing):
             of_row = row_findings(grant["alternatives"][index], mission, action, **seen)
             candidates.append((grant, index, of_grant + of_row))

@@ -11,6 +11,7 @@ from authguard_reference.approval import step_7
 from authguard_reference.grants import match
 from authguard_reference.place import guards_findings
 from authguard_reference.reasons import in_order
+from authguard_reference.sources import label_of_signer
 from authguard_reference.standing import STATUS_REFUSAL
 
 Json = dict[str, Any]
@@ -227,7 +228,8 @@ def decide(
     found += robot_findings(mission, facts)  # step 5
     found += mission_findings(mission, action, state, facts, now)  # step 6, of the mission
     seen: Json = {"action": action, "state": state, "facts": facts, "now": now}
-    grant, row, of_match = match(mission, standing=standing, **seen)  # step 6, of each grant
+    label = label_of_signer((issuer or {}).get("role", "operator"))
+    grant, row, of_match = match(mission, standing=standing, issuer=label, **seen)  # step 6
     of_approval, required, risk = step_7(
         mission, digest, grant, standing=standing, approvals=approvals, issuer=issuer, **seen
     )

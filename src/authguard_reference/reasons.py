@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reason codes in their normative order (steps of `alg:authguard`).
 
-PROTECTED are the fields j of `eq:action-deviation`.
+DECIDED are those that `decide` itself can find. FIELDS are the fields j of `eq:action-deviation`,
+FIELD_OF names the one that a code violates.
 """
 
 from collections.abc import Iterable
@@ -93,10 +94,74 @@ ORDER: list[str] = [
     "INTERNAL_FAULT",
 ]
 
-PROTECTED: list[str] = [
+DECIDED: list[str] = [
     "CERTIFICATE_EXPIRED",
     *ORDER[ORDER.index("NOT_YET_VALID") : ORDER.index("APPROVAL_REQUIRED") + 1],
 ]
+
+
+FIELDS: list[str] = [
+    "robot",
+    "mission",
+    "type",
+    "tool",
+    "object",
+    "source",
+    "destination",
+    "route",
+    "parameters",
+    "state",
+    "time",
+    "provenance",
+    "approval",
+    "order",
+    "use",
+]
+
+FIELD_OF: dict[str, str] = {
+    "CERTIFICATE_EXPIRED": "mission",
+    "NOT_YET_VALID": "time",
+    "EXPIRED": "time",
+    "MISSION_UNKNOWN": "mission",
+    "MISSION_NOT_ACTIVE": "mission",
+    "MISSION_SUSPENDED": "mission",
+    "MISSION_COMPLETED": "mission",
+    "REVOKED": "mission",
+    "SUPERSEDED": "mission",
+    "ROBOT_MISMATCH": "robot",
+    "PROFILE_MISMATCH": "robot",
+    "SITE_MISMATCH": "robot",
+    "META_MISMATCH": "mission",
+    "CAPABILITY_EXCEEDED": "robot",
+    "ACTION_OUT_OF_SCOPE": "type",
+    "TOOL_OUT_OF_SCOPE": "tool",
+    "OBJECT_OUT_OF_SCOPE": "object",
+    "SOURCE_OUT_OF_SCOPE": "source",
+    "SOURCE_NOT_ATTESTED": "source",
+    "OUTSIDE_REGIONS": "source",
+    "DESTINATION_OUT_OF_SCOPE": "destination",
+    "ROUTE_OUT_OF_SCOPE": "route",
+    "PARAMETER_MISSING": "parameters",
+    "PARAMETER_NOT_ALLOWED": "parameters",
+    "PARAMETER_OUT_OF_BOUNDS": "parameters",
+    "DATA_RIGHT_MISSING": "parameters",
+    "ORDER_VIOLATED": "order",
+    "GRANT_CLOSED": "order",
+    "REPEAT_EXHAUSTED": "use",
+    "STARTS_EXHAUSTED": "use",
+    "RATE_EXCEEDED": "use",
+    "BUDGET_EXCEEDED": "use",
+    "STATE_FOREIGN": "state",
+    "STATE_MISSING": "state",
+    "STATE_UNTRUSTED": "state",
+    "STATE_BEFORE_MOTION": "state",
+    "STATE_STALE": "state",
+    "GUARD_FALSE": "state",
+    "PROVENANCE_DENIED": "provenance",
+    "APPROVAL_DENIED": "approval",
+    "APPROVAL_TIMEOUT": "approval",
+    "APPROVAL_REQUIRED": "approval",
+}
 
 
 def in_order(codes: Iterable[str]) -> list[str]:

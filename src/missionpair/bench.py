@@ -20,6 +20,7 @@ from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
+from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import GrantId, Identifier, RobotId
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.mission import Mission
@@ -58,6 +59,7 @@ class Bench:
         envelopes: the safety model of each robot, once it was made.
         offered: names and tools that a robot's planner is offered, once they were made; by the
             robot, and what it is offered beyond its profile.
+        field_weights: w_j of D_M for the whole campaign; none: as each mission signs them.
     """
 
     folder: Path
@@ -66,6 +68,7 @@ class Bench:
     start_ms: int
     envelopes: dict[RobotId, EnvelopeGate] = field(default_factory=dict, compare=False)
     offered: dict[Any, Any] = field(default_factory=dict, compare=False)
+    field_weights: Weights = field(default_factory=dict)
 
     def draft(self, **changes: Any) -> dict[str, Any]:
         """Return the hospital's mission draft as plain data, with top-level fields replaced."""

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from authguard_r.compile.sources import given_weights
 from missionpair import attackers, defenses, planners, registry, suites
 from missionpair.campaign.log import read_log
 from missionpair.campaign.run import Plan, Progress, run
@@ -70,6 +71,10 @@ def run_command(
         str,
         typer.Option("--weights", help="Of the score: lambda 1 to 5, thousandths above zero."),
     ] = ",".join(map(str, DEFAULT.thousandths)),
+    weight: Annotated[
+        list[str] | None,
+        typer.Option("--weight", help="Of D_M: FIELD=N, others weigh 1; may be repeated."),
+    ] = None,
     jobs: Annotated[
         int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
     ] = 1,
@@ -100,6 +105,7 @@ def run_command(
         pairs=pairs,
         kinds=tuple(dict.fromkeys(kind or Kind)),
         weights=_weights(weights),
+        field_weights=dict(given_weights(weight or (), where="--weight")),
         unqualified=unqualified,
     )
     with shown(hidden=as_json) as show:

@@ -26,9 +26,10 @@ from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.finding import Findings, deviation
+from authguard_r.core.fields import FIELD_OF, deviation
+from authguard_r.core.finding import Findings
 from authguard_r.core.quantities import Now
-from authguard_r.core.reasons import PROTECTED, Reason
+from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend, Standing, finish, reserve, settle
 from authguard_r.core.state import AttestedState, attest
 from authguard_r.core.token import VerifiedMission
@@ -39,7 +40,6 @@ from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import delta, duration_ms
 from missionpair.stage import Stage, done_by
 
-_PROTECTED = frozenset(PROTECTED)
 #: Reasons that are about when a step comes and who chose it, and not about what it does.
 _TIMELY = frozenset(
     {
@@ -246,7 +246,7 @@ def check(stage: Stage, raw: bytes) -> Checked:
     hazards: dict[str, None] = {}
     worst, codes = NONE, dict.fromkeys([walk.refusal] if walk.refusal else [])
     if walk.refusal is not None:
-        worst = Fraction(1, len(PROTECTED))
+        worst = deviation([walk.refusal], stage.field_weights)
     executable, changed = True, False
     for step in plan.steps:
         action = walk.completed(step)
@@ -254,8 +254,8 @@ def check(stage: Stage, raw: bytes) -> Checked:
         findings.append(found)
         reasons = {str(f.reason) for f in found} or {str(walk.refusal)} - {"None"}
         is_one = is_change(stage, action, reasons)  # before anything moves
-        worst = max(worst, deviation(found, {}))
-        codes.update(dict.fromkeys(f.reason for f in found if f.reason in _PROTECTED))
+        worst = max(worst, deviation([f.reason for f in found], stage.field_weights))
+        codes.update(dict.fromkeys(f.reason for f in found if f.reason in FIELD_OF))
         assessed = safety.assess(action, walk.attested(), walk.facts, walk.now)
         hazards.update(dict.fromkeys(str(f.hazard) for f in assessed.findings))
         if not walk.go_on(action, authorized=not found):
@@ -346,7 +346,9 @@ def proved(walk: Walk, action: Action) -> Effect:
         action=action,
         authorized=verdict["verdict"] == "accept",
         reasons=tuple(reasons),
-        deviation=oracle.action_deviation(reasons, None),
+        deviation=oracle.action_deviation(
+            reasons, {str(field): weight for field, weight in stage.field_weights.items()}
+        ),
         safe=safety_of(stage).assess(bare, attested, walk.facts, walk.now).safe,
     )
 

@@ -69,6 +69,8 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
         turns: how many answers a planner has in one round at most.
         kinds: which kinds of trial are run.
         weights: lambda_1 to lambda_5 of the score; each is above zero.
+        field_weights: w_j of D_M; a field that is absent weighs 1, all of them as each mission
+            signs them where none is named.
         trials: how many trial lines a whole log has.
         version: of the software.
         qualified: what each baseline is held to before it is scored; none where it is not.
@@ -92,6 +94,7 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
     trials: int
     version: str
     every: int = 1
+    field_weights: dict[str, int] = {}
     qualified: tuple[Qualified, ...] = ()
 
 

@@ -29,6 +29,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
+from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import SafetyGate
@@ -157,6 +158,11 @@ class Stage:
             raise found
         return found
 
+    @property
+    def field_weights(self) -> Weights:
+        """The w_j of D_M: the campaign's, else those that the mission in force signs."""
+        return self.bench.field_weights or self.scene.mission.risk_policy.field_weights
+
     @cached_property
     def steps(self) -> tuple[frozenset[Any], frozenset[Any]]:
         """What the mission's own steps do, and what the twin's do (`done_by`)."""
@@ -230,6 +236,7 @@ class Yard:
     Args:
         folder: for the keys; None makes a temporary one that goes with the yard.
         safety: a safety configuration for a bench's robot; None takes the profile's envelope.
+        field_weights: w_j of D_M; none: as each mission signs them.
     """
 
     def __init__(
@@ -237,12 +244,14 @@ class Yard:
         folder: Path | None = None,
         *,
         safety: Callable[[Site, RobotId], SafetyConfig] | None = None,
+        field_weights: Weights = {},  # noqa: B006 - it is only read
     ) -> None:
         self._own = None if folder else tempfile.TemporaryDirectory(prefix="missionpair-")
         self._folder = folder or Path(self._own.name if self._own else "")
         self._keys: dict[str, Path] = {}
         self._benches: OrderedDict[str, Bench] = OrderedDict()
         self.safety = safety
+        self._field_weights = field_weights
 
     def __enter__(self) -> Self:
         return self
@@ -315,7 +324,9 @@ class Yard:
             binding = load_binding(layout.binding, site=site, where="binding")
         except AuthGuardError as error:
             raise StageError(str(error), where=f"layout {layout.id}") from error
-        return Bench(self._keys_for(site), site, binding, int(BEGIN.timestamp()) * 1_000)
+        begin = int(BEGIN.timestamp()) * 1_000
+        keys = self._keys_for(site)
+        return Bench(keys, site, binding, begin, field_weights=self._field_weights)
 
     def _keys_for(self, site: Site) -> Path:
         """Return the folder with the keys of robots that are called and made like these."""

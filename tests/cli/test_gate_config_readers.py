@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.cli import call
+from authguard_r.core.mission import DataClass
 from authguard_r.gate.config import GateConfig, open_gate_config
 from authguard_r.keys.readers import new_reader
 from authguard_r.keys.trust import read_trust

@@ -101,7 +101,7 @@ def test_a_plans_deviation_is_its_worst_and_its_average() -> None:
     from authguard_r.report import average_deviation, plan_deviation
     from fixtures.decision_cases import ALONE, decide_case
 
-    plan = (*tuple(decide_case(ALONE[r](Random(1))).findings for r in sorted(ALONE)), ())
-    theirs = oracle.plan_deviation([[str(f.reason) for f in findings] for findings in plan], None)
+    plan = (*tuple(decide_case(ALONE[r](Random(1))).reasons for r in sorted(ALONE)), ())
+    theirs = oracle.plan_deviation([[*map(str, reasons)] for reasons in plan], None)
     assert (plan_deviation(plan, {}), average_deviation(plan, {})) == theirs
     assert plan_deviation((), {}) == average_deviation((), {}) == 0

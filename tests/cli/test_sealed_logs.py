@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.boxes import SEALING, DataClass
+from authguard_r.audit.boxes import SEALING
 from authguard_r.audit.record import (
     BOX,
     WRAP,
@@ -38,6 +38,7 @@ from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.cli import call
 from authguard_r.cli.exported import row_line
 from authguard_r.core.encoding import encode_fast
+from authguard_r.core.mission import DataClass
 from authguard_r.keys.readers import new_reader, read_reader
 from authguard_r.sealing import Reader, SealingPolicy
 from authguard_r.sealing.sealer import Sealer

@@ -23,7 +23,7 @@ from authguard_r.core.encoding import Tag, decode, digest, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
-from authguard_r.core.reasons import PROTECTED
+from authguard_r.core.reasons import DECIDED
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import Principal, index_mission, verify_mission
 from authguard_r.keys.algorithms import require_sound
@@ -91,7 +91,7 @@ def test_the_oracle_gives_the_published_answer() -> None:
 
 def test_every_reason_of_the_gate_has_a_vector_alone_and_a_near_miss() -> None:
     pairs = {(vector["reason"], vector["kind"]) for vector in GATE["vectors"]}
-    assert pairs == {(str(r), kind) for r in PROTECTED for kind in ("alone", "near miss")}
+    assert pairs == {(str(r), kind) for r in DECIDED for kind in ("alone", "near miss")}
 
 
 def test_every_accepted_encoding_is_byte_exact() -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.record import BOX, WRAP
 from authguard_r.audit.verify import Row
 from authguard_r.cli.logs import open_log
@@ -19,7 +18,7 @@ from authguard_r.cli.replay import Replay
 from authguard_r.commands import Verb
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.mission import Mission
+from authguard_r.core.mission import DataClass, Mission
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from fixtures import approvals, scenarios, sealed_logs

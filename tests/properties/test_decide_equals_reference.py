@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from authguard_r.core.decision import Verdict
-from authguard_r.core.reasons import PROTECTED
+from authguard_r.core.reasons import DECIDED
 from fixtures.amount import amount
 from fixtures.decision_bounds import BOUNDS
 from fixtures.decision_cases import (
@@ -26,6 +26,7 @@ from fixtures.decision_cases import (
     decide_case,
     oracle_case,
     organized,
+    sourced,
 )
 
 #: Cases of each kind; at least 30 % of them accepted, in the complete run at least 20,000.
@@ -34,6 +35,8 @@ ACCEPTED, BROKEN, EACH = amount(900, 8_000), amount(1_000, 7_000), amount(20, 15
 AT_BOUND = amount(6, 60)
 #: Cases with policies of the organization and approvals of groups.
 ORGANIZED = amount(200, 1_000)
+#: Cases with labels and source sets.
+SOURCED = amount(300, 3_000)
 RELAXED = settings(
     database=None,
     derandomize=True,
@@ -64,7 +67,7 @@ def test_the_case_counts_add_up_to_what_is_claimed() -> None:
 
 
 def test_every_reason_that_decide_can_give_has_a_case_of_its_own() -> None:
-    assert set(ALONE) == {str(reason) for reason in PROTECTED}
+    assert set(ALONE) == {str(reason) for reason in DECIDED}
 
 
 def test_gate_and_oracle_agree_on_accepted_cases() -> None:
@@ -142,3 +145,23 @@ def test_gate_and_oracle_agree_under_an_organization_and_with_groups() -> None:
     assert counted["group"] >= ORGANIZED // 20, counted
     assert counted["group issues"] >= ORGANIZED // 50, counted
     assert counted["APPROVAL_DENIED"] >= ORGANIZED // 50, counted
+
+
+def test_gate_and_oracle_agree_on_who_may_set_which_field() -> None:
+    """AllowedSrc(f) counts for every field, as the site and as the mission narrow it."""
+    counted: Counter[str] = Counter()
+
+    @settings(RELAXED, max_examples=SOURCED)
+    @given(SEEDS)
+    def holds(seed: int) -> None:
+        case = sourced(Random(seed))
+        verdict, reasons = agree(case)
+        counted[reasons[0] if reasons else verdict] += 1
+        for finding in decide_case(case).findings:
+            counted[finding.field] += finding.reason == "PROVENANCE_DENIED"
+
+    holds()
+    assert counted["accept"] >= SOURCED // 10, counted
+    for field in ("type", "tool", "object", "destination", "route", "parameters", "recording"):
+        assert counted[field] >= SOURCED // 150, (field, counted)
+    assert counted["approval_threshold"] >= SOURCED // 150, counted

@@ -14,7 +14,6 @@ Spec page: docs/spec/sealed-fields.md
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from enum import StrEnum
 from typing import Any, Final
 
 import msgspec
@@ -43,18 +42,8 @@ from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import b64, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, RobotId
+from authguard_r.core.mission import DataClass
 from authguard_r.core.ports import Turn
-
-
-class DataClass(StrEnum):
-    """What a field tells of; the order is that in which keys are joined."""
-
-    EVIDENCE = "evidence"
-    OBJECT = "object"
-    PARAMETER = "parameter"
-    PERSON = "person"
-    REGION = "region"
-
 
 Classes = tuple[DataClass, ...]
 _E, _O, _P, _R = DataClass.EVIDENCE, DataClass.OBJECT, DataClass.PARAMETER, DataClass.REGION

@@ -20,6 +20,7 @@ from authguard_r.cli.inputs import (
     SiteOption,
     TokenOption,
     TrustOption,
+    WeightOption,
     gate_facts,
     load_site,
     read_action,
@@ -32,9 +33,11 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.out import decision_lines, emit, risk_policy_json, verdict_code
+from authguard_r.compile.sources import given_weights
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
+from authguard_r.core.fields import Weights
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import SafetyGate
 from authguard_r.core.quantities import Now
@@ -62,6 +65,7 @@ class _Question(Struct, frozen=True, kw_only=True):
     standing: Standing | None
     safety: SafetyGate
     ledger: ContextLedger
+    weights: Weights
 
 
 def decide_command(
@@ -83,6 +87,7 @@ def decide_command(
         str | None, typer.Option("--robot", help="Which gate of the folder is asked.")
     ] = None,
     risk_policy: RiskPolicyOption = None,
+    weight: WeightOption = None,
     jsonl: Annotated[
         bool,
         typer.Option(
@@ -107,6 +112,7 @@ def decide_command(
         standing=_standing(verified, store),
         safety=EnvelopeGate(default_config(model, facts.robot.rid)),
         ledger=read_context(context, site_spellings(model), channels=model.channels),
+        weights=given_weights(weight or (), where="--weight"),
     )
     default = None if state is None else read_input(state)
     if jsonl:
@@ -132,7 +138,7 @@ def _decide(question: _Question, plain: Any, state: bytes | None, now: Now) -> J
     attested: AttestedState | None = None
     if state is not None:
         attested = read_state(state, facts=question.facts, trust=question.trust, now=now)
-    return evaluate(
+    judged = evaluate(
         question.verified,
         read_action(plain),
         state=attested,
@@ -142,6 +148,7 @@ def _decide(question: _Question, plain: Any, state: bytes | None, now: Now) -> J
         safety=question.safety,
         base=question.ledger.base(),
     )
+    return replace(judged, weights=question.weights or judged.weights)
 
 
 def _answer(question: _Question, judged: Judged) -> dict[str, Any]:

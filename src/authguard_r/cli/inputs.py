@@ -56,6 +56,10 @@ RiskPolicyOption = Annotated[
     Path | None,
     typer.Option("--risk-policy", help="The organization's signed risk policy."),
 ]
+WeightOption = Annotated[
+    list[str] | None,
+    typer.Option("--weight", help="Of D_M: FIELD=N, others weigh 1; may be repeated."),
+]
 NowOption = Annotated[
     str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
 ]

@@ -83,7 +83,7 @@ def _mission(token: Path | None, trust: Path | None, now: str | None) -> Verifie
         payload = unb64(opened.payload, where="token.payload")
         mission = decode(payload, Mission, where="mission")
         nowhere = Scope(robots=frozenset(), regions=frozenset())
-        nobody = Principal(id=mission.issuer, role="unverified", scope=nowhere, usable_until_ms=0)
+        nobody = Principal(id=mission.issuer, role="operator", scope=nowhere, usable_until_ms=0)
         return index_mission(mission, digest(opened.kind, payload), nobody)
     return read_mission(token, read_trust(trust), wall_now(now))
 

@@ -13,11 +13,11 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, ask_new_passphrase, passphrase_of
 from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.mission import DataClass
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.envelope import seal
 from authguard_r.keys.files import write_whole

@@ -13,12 +13,12 @@ import typer
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.spoken import quantity
 from authguard_r.compile.units import to_integer
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
+from authguard_r.core.mission import DataClass
 from authguard_r.gate.config import GateConfig
 from authguard_r.keys.readers import read_public
 from authguard_r.keys.trust import read_file

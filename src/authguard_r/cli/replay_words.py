@@ -21,6 +21,7 @@ def plain(value: Any) -> Any:
 def plain_facts(facts: SiteFacts) -> dict[str, Any]:
     """Return facts in the shape of the specification."""
     risk = [plain(policy) for policy in facts.risk]
+    sources = {str(field): sorted(labels) for field, labels in facts.sources.items()}
     return {
         "digest": facts.digest,
         "robot": {
@@ -32,6 +33,7 @@ def plain_facts(facts: SiteFacts) -> dict[str, Any]:
         "objects": dict(facts.objects),
         "vocabulary": {kind: _kind(model) for kind, model in facts.vocabulary.items()},
         **({"risk": risk} if risk else {}),
+        **({"sources": sources} if sources else {}),
     }
 
 

@@ -23,6 +23,7 @@ from authguard_r.cli.inputs import (
     SiteOption,
     TokenOption,
     TrustOption,
+    WeightOption,
     gate_robot,
     load_site,
     read_binding,
@@ -34,8 +35,10 @@ from authguard_r.cli.offline import CounterOption, Kept, counter_of, offline
 from authguard_r.cli.out import emit, exit_code, report_code, report_lines
 from authguard_r.compile.card import compare
 from authguard_r.compile.change import smallest_change, to_draft
+from authguard_r.compile.sources import given_weights
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission, OnRefusal
@@ -48,7 +51,7 @@ from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import How
-from authguard_r.report import Report, average_deviation, plan_deviation
+from authguard_r.report import Report
 from authguard_r.safety import (
     SafetyConfig,
     TemporalGate,
@@ -57,7 +60,7 @@ from authguard_r.safety import (
     safety_digest,
 )
 from authguard_r.safety.kept import memory_of
-from authguard_r.shapes import report_json
+from authguard_r.shapes import plan_json, report_json
 from authguard_r.sim.robot import Faults
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
@@ -156,6 +159,7 @@ def run_command(
     ] = None,
     now: NowOption = None,
     counter: CounterOption = None,
+    weight: WeightOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
@@ -192,7 +196,8 @@ def run_command(
             for p in plan
         ]
         left = () if config is None else _unfulfilled(simulation, config, mid)
-        payload = {**_payload(simulation, runs, path), "rules_open": left}
+        measured = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
+        payload = {**measured, "rules_open": left}
     finally:
         simulation.gate.close()
     open_rules = [f"rule `{rule}` does not hold if the mission ends here" for rule in left]
@@ -315,20 +320,18 @@ def _change(simulation: Simulation, report: Report) -> Change | None:
     return Change(draft=to_draft(amended), adds=adds)
 
 
-def _payload(simulation: Simulation, runs: list[Run], path: Path) -> dict[str, Any]:
+def _payload(
+    simulation: Simulation, runs: list[Run], path: Path, weights: Weights
+) -> dict[str, Any]:
     terminal = sign_terminal(simulation.gate, simulation.signer)
     anchor = path.with_suffix(".checkpoint")
     anchor.write_bytes(terminal)
     state = simulation.robot.state
     judged = [report.judged for run in runs for report in run.reports]
-    findings = tuple(item.decision.findings for item in judged if item is not None)
     return {
         "steps": [report_json(report) for run in runs for report in run.reports],
         "planned": sum(run.steps for run in runs),
-        "deviation": {
-            "max": float(plan_deviation(findings, {})),
-            "average": float(average_deviation(findings, {})),
-        },
+        "deviation": plan_json([item for item in judged if item is not None], weights),
         "alerts": [alert for run in runs for alert in run.alerts],
         "on_refusal": next((run.then for run in runs if run.then is not None), None),
         "smallest_change": next((run.change.draft for run in runs if run.change is not None), None),

@@ -11,7 +11,6 @@ import typer
 from msgspec import to_builtins
 
 from authguard_r.assembly import folder_signer
-from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.record import NONE
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, Reading, connected
@@ -23,6 +22,7 @@ from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_rol
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, MissionId
+from authguard_r.core.mission import DataClass
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import FileSigner
 from authguard_r.management.shredding import ROLES

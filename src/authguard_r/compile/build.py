@@ -16,10 +16,11 @@ from authguard_r.compile.draft import Draft
 from authguard_r.compile.grants import Words, build_grant, build_guards, build_limits
 from authguard_r.compile.names import OBJECT, REGION, names_of, unknown
 from authguard_r.compile.questions import Questions
+from authguard_r.compile.sources import build_retention, build_sources
 from authguard_r.compile.totals import build_budgets, build_risk
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId, Timestamp
-from authguard_r.core.mission import MAX_GRANTS, Mission, require_schema
+from authguard_r.core.mission import MAX_GRANTS, SCHEMA, Mission, require_schema
 from authguard_r.core.quantities import Now, to_ms, to_timestamp
 from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert
@@ -71,7 +72,7 @@ def _plain(draft: Draft, site: Site, now: Now, asked: Questions) -> dict[str, An
     guards = build_guards(draft.guards, "guards", words)
     grants = _grants(draft, words)
     plain: dict[str, Any] = {
-        "schema": "authguard-r/mission/1",
+        "schema": SCHEMA,
         "mid": draft.mission,
         "version": draft.version,
         "rid": rid,
@@ -98,6 +99,8 @@ def _plain(draft: Draft, site: Site, now: Now, asked: Questions) -> dict[str, An
         draft.on_refusal, question, "on_refusal", asked, ("hold", "stop", "ask")
     )
     plain["risk_policy"] = build_risk(draft.risk_policy, words)
+    plain["sources"] = build_sources(draft.sources, site)
+    plain["retention"] = build_retention(draft.retention, asked)
     if draft.supersedes is not None:
         plain["supersedes"] = draft.supersedes
     return plain

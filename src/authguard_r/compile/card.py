@@ -53,6 +53,8 @@ def review(mission: Mission, site: Site, *, demand: Demand | None = None) -> tup
         *_totals(mission),
         *_approvals(mission, site),
         *_demanded(mission, demand),
+        *_sources(mission),
+        *_retention(mission),
         *_withheld(mission, site),
         *_bound(mission),
     )
@@ -217,6 +219,21 @@ def _weights(policy: RiskPolicy, site: Site) -> Iterator[str]:
     for state in policy.states:
         yield f"{state.weight} unless it is attested that not: {spoken.condition(state.guard)}"
     yield f"each step of privacy {policy.privacy}"
+
+
+def _sources(mission: Mission) -> Iterator[str]:
+    """Say which labels may set which field, where the mission narrows it."""
+    for field, labels in sorted(mission.sources.items()):
+        yield f"Field {field} may be set by {', '.join(labels)} only"
+    weighed = sorted(mission.risk_policy.field_weights.items())
+    if weighed:
+        told = ", ".join(f"{field} {weight}" for field, weight in weighed)
+        yield f"Deviation is measured with weights ({told}, any other 1); they authorize nothing"
+
+
+def _retention(mission: Mission) -> Iterator[str]:
+    for data, kept_ms in sorted(mission.retention.items()):
+        yield f"Sealed {data} fields are destroyed {spoken.duration(kept_ms)} after its end"
 
 
 def _withheld(mission: Mission, site: Site) -> Iterator[str]:

@@ -105,7 +105,10 @@ def to_draft(mission: Mission) -> dict[str, Any]:
             "planner_stops": budgets["planner_stops"],
         },
     }
-    same = ("issuer", "task", "supersedes", "objects", "regions", "on_refusal")
+    same = (
+        *("issuer", "task", "supersedes", "objects", "regions", "on_refusal"),
+        *("sources", "retention"),
+    )
     draft |= {name: plain[name] for name in same if name in plain}
     if "closing" in plain:
         draft["closing"] = {

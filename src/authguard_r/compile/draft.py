@@ -103,7 +103,10 @@ class DraftStateRisk(_Draft, frozen=True, kw_only=True):
 
 
 class DraftRisk(_Draft, frozen=True, kw_only=True):
-    """Who must approve what. Weights that are not listed are `otherwise`."""
+    """Who must approve what. Weights that are not listed are `otherwise`.
+
+    `field_weights` weigh the deviation of an action (D_M) and authorize nothing.
+    """
 
     types: dict[str, int] = {}
     region_tags: dict[str, int] = {}
@@ -117,13 +120,15 @@ class DraftRisk(_Draft, frozen=True, kw_only=True):
     t: int | None = None
     roles: tuple[str, ...] | None = None
     valid: Quantity | None = None
+    field_weights: dict[str, Quantity] = {}
 
 
 class Draft(_Draft, frozen=True, kw_only=True):
     """A whole mission as its author sees it.
 
     `window` is `{not_before, expiry}` with RFC 3339 UTC seconds, or `{for}` from the moment of
-    compiling. `objects` and `regions` default to exactly what the rows name.
+    compiling. `objects` and `regions` default to exactly what the rows name. `sources` names the
+    labels that may set a field, `retention` how long sealed fields of a class are kept.
     """
 
     mission: str
@@ -143,3 +148,5 @@ class Draft(_Draft, frozen=True, kw_only=True):
     budgets: DraftBudgets = DraftBudgets()
     on_refusal: str | None = None
     risk_policy: DraftRisk = DraftRisk()
+    sources: dict[str, tuple[str, ...]] = {}
+    retention: dict[str, Quantity] = {}

@@ -15,7 +15,7 @@ from msgspec import Struct
 from authguard_r.compile import spoken
 from authguard_r.core.identifiers import ActionType
 from authguard_r.core.mission import Closing, Grant, Guard, Limit, Mission, RiskPolicy
-from authguard_r.core.provenance import Chooser
+from authguard_r.core.provenance import MOST, Chooser, SourceField
 from authguard_r.core.quantities import to_ms
 from authguard_r.site.model import Site
 
@@ -75,6 +75,7 @@ def facets(mission: Mission, site: Site, listed: frozenset[str]) -> dict[str, Fa
         _budgets(mission),
         _policy(mission.risk_policy, site, listed),
         _closing(mission.closing),
+        _sources(mission),
         *(_grant(grant, site) for grant in mission.actions),
     ):
         for name, facet in part:
@@ -186,6 +187,18 @@ def _closing(closing: Closing | None) -> Iterator[Named]:
         yield _time("", "stays open for", closing.for_ms)
 
 
+def _sources(mission: Mission) -> Iterator[Named]:
+    """Yield the labels that may set each field, and how long sealed fields are kept."""
+    signed = mission.sources
+    for field in SourceField:
+        for label in signed.get(field, tuple(sorted(MOST[field]))):
+            yield _there("", f"{field} may be set by", label, Bears.WIDENS)
+    for data, kept_ms in mission.retention.items():
+        yield _plain(f"sealed {data} fields are kept for", spoken.duration(kept_ms))
+    for name, weight in mission.risk_policy.field_weights.items():
+        yield _plain(f"weight of {name} in the deviation:", str(weight))
+
+
 def _grant(grant: Grant, site: Site) -> Iterator[Named]:
     owner = grant.id
     for row in grant.alternatives:
@@ -254,6 +267,11 @@ def _sized(owner: str, label: str, value: str, size: int, more: Bears) -> Named:
         owner=owner, label=label, value=value, size=size, more=more, presence=Bears.WIDENS
     )
     return f"{owner}|{label}", facet
+
+
+def _plain(label: str, value: str) -> Named:
+    """Return a facet that bears on no authority."""
+    return f"|{label}", Facet(owner="", label=label, value=value)
 
 
 def _there(owner: str, label: str, value: str, presence: Bears) -> Named:

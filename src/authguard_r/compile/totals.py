@@ -8,6 +8,7 @@ from typing import Any
 from authguard_r.compile.draft import DraftBudgets, DraftRisk
 from authguard_r.compile.grants import Words, build_guard, unit_of_limit
 from authguard_r.compile.questions import Questions
+from authguard_r.compile.sources import read_weights
 
 _MS, _BYTE = "ms", "byte"
 
@@ -83,6 +84,7 @@ def build_risk(given: DraftRisk, words: Words) -> dict[str, Any]:
     if given.roles is None:
         asked.ask("Who may approve: `[supervisor, ...]`?", "risk_policy.roles")
     plain["roles"] = sorted(given.roles or ())
+    plain["field_weights"] = read_weights(given.field_weights, where="risk_policy.field_weights")
     plain["valid_ms"] = asked.integer(
         given.valid, _MS, field="risk_policy.valid", question="How long does a request live?"
     )

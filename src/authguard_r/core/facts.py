@@ -12,6 +12,7 @@ from msgspec import Struct
 from authguard_r.core import identifiers as ids
 from authguard_r.core.geometry import Polygon
 from authguard_r.core.mission import RiskPolicy
+from authguard_r.core.provenance import AllowedSources
 
 
 class ParameterKind(Struct, frozen=True, kw_only=True):
@@ -88,6 +89,7 @@ class SiteFacts(Struct, frozen=True, kw_only=True):
         objects: the class of each object.
         vocabulary: the action types.
         risk: the organization's own policies beside every mission's; the strictest counts.
+        sources: AllowedSrc(f) of the site; no mission is wider.
     """
 
     digest: ids.Digest
@@ -96,3 +98,4 @@ class SiteFacts(Struct, frozen=True, kw_only=True):
     objects: dict[ids.ObjectId, str]
     vocabulary: dict[ids.ActionType, ActionKind]
     risk: tuple[RiskPolicy, ...] = ()
+    sources: AllowedSources = {}

@@ -6,11 +6,9 @@ Source: section "Authorization Predicate" (reason code and evidence).
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 from msgspec import Struct
 
-from authguard_r.core.reasons import ORDER, PROTECTED, STEP, Reason
+from authguard_r.core.reasons import ORDER, STEP, Reason
 
 
 class Finding(Struct, frozen=True):
@@ -41,20 +39,3 @@ def in_paper_order(findings: Findings) -> Findings:
     """Return the findings with the primary one first, without repeats."""
     unique = dict.fromkeys(findings)
     return tuple(sorted(unique, key=lambda f: (ORDER[f.reason], f.field)))
-
-
-def deviation(findings: Findings, weights: dict[Reason, int]) -> Fraction:
-    """Return D_M(a): the weighted share of protected fields that are violated.
-
-    Args:
-        findings: of one action; reasons outside the protected fields do not count.
-        weights: positive weight by reason; a reason that is absent weighs 1.
-
-    Returns:
-        0 exactly when no protected field is violated, 1 when all are.
-
-    Source: `eq:action-deviation`; docs/adr/0003-authorization-indicator.md
-    """
-    violated = {finding.reason for finding in findings}
-    total = sum(weights.get(reason, 1) for reason in PROTECTED)
-    return Fraction(sum(weights.get(r, 1) for r in PROTECTED if r in violated), total)

@@ -17,12 +17,15 @@ from msgspec import Meta, Struct
 
 from authguard_r.core import identifiers as ids
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.provenance import Chooser
+from authguard_r.core.fields import ProtectedField
+from authguard_r.core.provenance import MOST, Chooser, Label, SourceField
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 
 MAX_GRANTS = 64
 MAX_ROWS = 256
+#: The language, and the one before it had `sources`, `retention` and `risk_policy.field_weights`.
+SCHEMA, FIRST_SCHEMA = "authguard-r/mission/2", "authguard-r/mission/1"
 _NO_SET = "expected a sorted set without repeats"
 _NO_ENDS = "expected to hold the row's source and destination"
 
@@ -44,6 +47,16 @@ class OnRefusal(StrEnum):
     HOLD = "hold"
     STOP = "stop"
     ASK = "ask"
+
+
+class DataClass(StrEnum):
+    """What a sealed field of the log is about; the order is that in which keys are joined."""
+
+    EVIDENCE = "evidence"
+    OBJECT = "object"
+    PARAMETER = "parameter"
+    PERSON = "person"
+    REGION = "region"
 
 
 class _Signed(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -198,6 +211,8 @@ class RiskPolicy(_Signed, frozen=True, kw_only=True):
         t: number of principals, the issuer included, at least 2.
         roles: roles whose holders may approve.
         valid_ms: how long a request and its approvals live, in milliseconds.
+        field_weights: w_j of `eq:action-deviation` by protected field; a field that is absent
+            weighs 1. They measure how far an action deviates and authorize nothing.
     """
 
     otherwise: ids.Count
@@ -212,6 +227,11 @@ class RiskPolicy(_Signed, frozen=True, kw_only=True):
     object_classes: dict[ids.Identifier, ids.Count] = {}
     parameters: tuple[ParameterRisk, ...] = ()
     states: tuple[StateRisk, ...] = ()
+    field_weights: dict[ProtectedField, ids.Positive] = {}
+
+
+#: AllowedSrc(f): the labels that may set a field, sorted, at least one.
+Sources = dict[SourceField, Annotated[tuple[Label, ...], Meta(min_length=1)]]
 
 
 class Closing(_Signed, frozen=True, kw_only=True):
@@ -247,9 +267,13 @@ class Mission(_Signed, frozen=True, kw_only=True):
         budgets: totals.
         on_refusal: what happens after a refusal.
         closing: grants that outlive completion.
+        sources: AllowedSrc(f) by field: the labels that may set it, sorted. It narrows what site
+            and grant allow; a field that is absent is not narrowed.
+        retention: how long after `expiry` the gate keeps the sealed fields of a class, in
+            milliseconds; a class that is absent is kept as the gate's configuration says.
     """
 
-    schema: Literal["authguard-r/mission/1"]
+    schema: Literal["authguard-r/mission/1", "authguard-r/mission/2"]
     mid: ids.MissionId
     version: ids.Positive
     rid: ids.RobotId
@@ -271,6 +295,8 @@ class Mission(_Signed, frozen=True, kw_only=True):
     on_refusal: OnRefusal
     supersedes: ids.Digest | None = None
     closing: Closing | None = None
+    sources: Sources = {}
+    retention: dict[DataClass, ids.Positive] = {}
 
 
 def require_schema(mission: Mission) -> None:
@@ -292,6 +318,8 @@ def _faults(mission: Mission) -> Iterator[tuple[str, str]]:
         yield "expiry", "expected an instant not before `not_before`"
     if mission.risk_policy.tau_1 > mission.risk_policy.tau_2:
         yield "risk_policy.tau_2", "expected at least `tau_1`"
+    yield from _newer(mission)
+    yield from source_faults(mission.sources)
     yield from _set("objects", mission.objects)
     yield from _set("regions", mission.regions)
     yield from _set("risk_policy.roles", mission.risk_policy.roles)
@@ -304,6 +332,27 @@ def _faults(mission: Mission) -> Iterator[tuple[str, str]]:
             yield f"actions[{number}].{place}", fault
     if mission.closing:
         yield from _named("closing.grants", mission.closing.grants, known)
+
+
+def _newer(mission: Mission) -> Iterator[tuple[str, str]]:
+    """Yield the fields that the first language does not have: it is what it was."""
+    newer = (
+        ("sources", mission.sources),
+        ("retention", mission.retention),
+        ("risk_policy.field_weights", mission.risk_policy.field_weights),
+    )
+    if mission.schema == FIRST_SCHEMA:
+        for place, value in newer:
+            if value:
+                yield place, f"expected none in `{FIRST_SCHEMA}`: compile the draft again"
+
+
+def source_faults(sources: Sources) -> Iterator[tuple[str, str]]:
+    """Yield where AllowedSrc names a label twice, or one that the paper's bound leaves out."""
+    for field, labels in sources.items():
+        yield from _set(f"sources.{field}", labels)
+        if not MOST[field].issuperset(labels):
+            yield f"sources.{field}", f"expected labels of {', '.join(sorted(MOST[field]))}"
 
 
 def _rising(items: tuple[str, ...]) -> bool:

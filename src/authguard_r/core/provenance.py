@@ -6,6 +6,7 @@ Source: section "Provenance Labels" and `tab:provenance`. Spec page: docs/spec/p
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 
 
@@ -46,8 +47,52 @@ TRUST: tuple[Label, ...] = (
     Label.CAMERA,
 )
 
-#: The fields of an action that carry authority and therefore a label (AllowedSrc(f) of the paper).
-PRIVILEGED: tuple[str, ...] = ("object", "source", "destination", "route")
+#: The fields of an action that have a label.
+LABELED: tuple[str, ...] = ("type", "tool", "object", "source", "destination", "route", "params")
+
+
+class SourceField(StrEnum):
+    """The fields f that AllowedSrc(f) can be signed for.
+
+    The first six are set by a proposal, `recording` and `approval_threshold` by the mission's
+    signature, `position` and `state` (obstacles included) by what is attested.
+    """
+
+    TYPE = "type"
+    TOOL = "tool"
+    OBJECT = "object"
+    DESTINATION = "destination"
+    ROUTE = "route"
+    PARAMETERS = "parameters"
+    RECORDING = "recording"
+    APPROVAL_THRESHOLD = "approval_threshold"
+    POSITION = "position"
+    STATE = "state"
+
+
+#: Labels of a value that somebody signed.
+SIGNED: frozenset[Label] = frozenset({Label.OPERATOR, Label.SUPERVISOR})
+#: Labels of a value that nobody signed or attested.
+UNTRUSTED: frozenset[Label] = frozenset(TRUST[TRUST.index(Label.MODEL) :])
+_ATTESTED = frozenset({Label.TRUSTED_SENSOR})
+_ANY = frozenset(Label)
+#: The widest source set that can be signed for each field; what stands when none is signed, but
+#: for object and destination (`core.checks.provenance.allowed_sources`).
+MOST: dict[SourceField, frozenset[Label]] = {
+    **dict.fromkeys(SourceField, _ANY),
+    SourceField.RECORDING: SIGNED,
+    SourceField.APPROVAL_THRESHOLD: SIGNED,
+    SourceField.POSITION: _ATTESTED,
+    SourceField.STATE: _ATTESTED,
+}
+
+#: AllowedSrc(f) by field; a field that is absent is not narrowed.
+AllowedSources = Mapping[SourceField, frozenset[Label]]
+
+
+def allowed_of(signed: Mapping[SourceField, tuple[Label, ...]]) -> AllowedSources:
+    """Return signed source sets in the shape that the decision reads."""
+    return {field: frozenset(labels) for field, labels in signed.items()}
 
 
 def least_trusted(labels: frozenset[Label]) -> Label:

@@ -135,9 +135,9 @@ STEP: dict[Reason, int] = {
     for reason in Reason
 }
 
-#: The protected fields of `eq:action-deviation`: what `decide` itself can find, registry, robot,
-#: policy and approvals included (docs/adr/0003-authorization-indicator.md).
-PROTECTED: tuple[Reason, ...] = (
+#: What `decide` itself can find, registry, robot, policy and approvals included
+#: (docs/adr/0003-authorization-indicator.md).
+DECIDED: tuple[Reason, ...] = (
     Reason.CERTIFICATE_EXPIRED,
     *tuple(Reason)[ORDER[Reason.NOT_YET_VALID] : ORDER[Reason.APPROVAL_REQUIRED] + 1],
 )

@@ -27,6 +27,7 @@ from authguard_r.core.identifiers import (
 )
 from authguard_r.core.mission import Grant, Limit, Mission, require_schema
 from authguard_r.core.ports import Endorsed, Signer, Verifier
+from authguard_r.core.provenance import AllowedSources, Label, allowed_of
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
 
@@ -95,6 +96,11 @@ class Principal(Struct, frozen=True, kw_only=True):
     threshold: int = 1
     members: frozenset[PrincipalId] = frozenset()
 
+    @property
+    def label(self) -> Label:
+        """The label of what it signs: an operator's, or that of somebody above operators."""
+        return Label.OPERATOR if self.role == Label.OPERATOR else Label.SUPERVISOR
+
 
 class IndexedGrant(Struct, frozen=True):
     """A grant with its limits keyed by parameter, and what its rows say of object and places."""
@@ -119,6 +125,7 @@ class VerifiedMission(Struct, frozen=True, kw_only=True):
     objects: frozenset[ObjectId]
     regions: frozenset[RegionId]
     limits: dict[ParameterId, Limit]
+    sources: AllowedSources
     grants: tuple[IndexedGrant, ...]
     by_type: dict[ActionType, tuple[int, ...]]
 
@@ -228,6 +235,7 @@ def index_mission(mission: Mission, hashed: Digest, issuer: Principal) -> Verifi
         objects=frozenset(mission.objects),
         regions=frozenset(mission.regions),
         limits={limit.parameter: limit for limit in mission.limits},
+        sources=allowed_of(mission.sources),
         grants=grants,
         by_type=by_type,
     )

@@ -13,10 +13,10 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from authguard_r.anchoring.places import WitnessPlace, require_place
-from authguard_r.audit.boxes import DataClass
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Count, Positive, RobotId
+from authguard_r.core.mission import DataClass
 from authguard_r.core.ports import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason

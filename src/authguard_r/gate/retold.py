@@ -14,6 +14,7 @@ import msgspec
 from authguard_r.audit.record import NONE, Record, Sealed
 from authguard_r.core.action import Action
 from authguard_r.core.errors import StoreError
+from authguard_r.core.fields import violated_fields
 from authguard_r.core.finding import Finding
 from authguard_r.core.reasons import Reason, may_pass_later
 from authguard_r.report import NOT_EVALUATED
@@ -46,6 +47,8 @@ def retold(
             "required_approvals": opened["required"],
             "risk": opened["risk"],
             "deviation": opened["deviation"][0] / opened["deviation"][1],
+            "violated": list(violated_fields(map(Reason, opened["reasons"]))),
+            "weights": opened["weights"],
             "mission": {
                 "mid": link.mid,
                 "version": opened["version"],

@@ -10,6 +10,7 @@ from msgspec import Struct
 
 from authguard_r.compile.confirmation import signed_inputs
 from authguard_r.core.checks.mission import binding_findings
+from authguard_r.core.checks.provenance import wider_sources
 from authguard_r.core.encoding import Tag
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.lifecycle import TERMINAL, Event, Status
@@ -128,9 +129,18 @@ def require_bound(mission: Mission, facts: SiteFacts) -> None:
         raise refuse(finding.reason, text, finding.field)
 
 
+def require_sources(verified: VerifiedMission, facts: SiteFacts) -> None:
+    """Refuse a mission that lets a field be set from a source that the site does not allow."""
+    for field in wider_sources(verified.sources, facts.sources):
+        allowed = ", ".join(sorted(facts.sources[field]))
+        text = f"expected labels that the site allows: {allowed}"
+        raise refuse(Reason.PROVENANCE_DENIED, text, f"mission.sources.{field}")
+
+
 def _require_usable(verified: VerifiedMission, act: Act, facts: SiteFacts) -> None:
-    """Refuse what could never be carried out here: robot, profile, site, time."""
+    """Refuse what could never be carried out here: robot, profile, site, sources, time."""
     require_bound(verified.mission, facts)
+    require_sources(verified, facts)
     if act.now.utc_ms > verified.expiry_ms:
         text = f"it ended at {verified.mission.expiry}"
         raise refuse(Reason.EXPIRED, text, "mission.expiry")

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import SEALING, Box, DataClass
+from authguard_r.audit.boxes import SEALING, Box
 from authguard_r.audit.record import (
     BOX,
     NONE,
@@ -31,6 +31,7 @@ from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
 from authguard_r.core.identifiers import Count, MissionId
 from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.mission import DataClass
 from authguard_r.core.ports import Turn
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason

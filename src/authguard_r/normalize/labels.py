@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The label of every privileged field, worked out and never read from the planner.
+"""The label of every field of an action, worked out and never read from the planner.
 
 Source: section "Provenance Labels". Spec page: docs/spec/provenance.md
 """
@@ -11,9 +11,8 @@ from operator import attrgetter
 from typing import Any
 
 from authguard_r.core.action import Action
-from authguard_r.core.checks.provenance import CHOSEN, open_rows, selectable_rows
-from authguard_r.core.mission import Grant, Row
-from authguard_r.core.provenance import PRIVILEGED, TRUST, Chooser, Label
+from authguard_r.core.checks.provenance import CHOSEN, open_rows, selectable_rows, signed_by
+from authguard_r.core.provenance import LABELED, TRUST, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
 
@@ -23,7 +22,7 @@ _FIELD: dict[str, Callable[[Any], Any]] = {field: attrgetter(field) for field in
 def label_fields(
     action: Action, verified: VerifiedMission | None, standing: Standing | None, *, base: Label
 ) -> dict[str, Label]:
-    """Return the label of every privileged field that the action has.
+    """Return the label of every field that the action has.
 
     Args:
         action: the proposal, its names already resolved.
@@ -32,9 +31,8 @@ def label_fields(
         base: the least trusted label of anything the planner could have seen.
     """
     labels: dict[str, Label] = {}
-    for field in PRIVILEGED:
-        value = getattr(action, field)
-        if value is None or value == ():
+    for field in LABELED:
+        if not getattr(action, field):
             continue
         labels[field] = base
         if verified is not None and field in CHOSEN:
@@ -58,16 +56,9 @@ def _chosen_by(
         if value not in values:
             continue
         if len(values) == 1:
-            found.append(_signed_by(get, grant, rows))
+            found.append(signed_by(field, grant, rows, verified.issuer.label))
         elif set(map(get, open_rows(grant, standing, action.source))) == {value}:
             found.append(Label.TRUSTED_SENSOR)
         else:
             return None
     return max(found, key=TRUST.index, default=None)
-
-
-def _signed_by(get: Callable[[Any], Any], grant: Grant, rows: tuple[Row, ...]) -> Label:
-    """Return whose signature leaves one value: the mission's, or else the selection's."""
-    if rows is grant.alternatives or len(set(map(get, grant.alternatives))) == 1:
-        return Label.OPERATOR
-    return Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR

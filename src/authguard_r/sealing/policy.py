@@ -10,9 +10,9 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, Identifier
+from authguard_r.core.mission import DataClass
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.readers import ReaderPublic, read_public
 

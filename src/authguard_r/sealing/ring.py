@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import msgspec
 
-from authguard_r.audit.boxes import SEALING, DataClass, opened
+from authguard_r.audit.boxes import SEALING, opened
 from authguard_r.audit.record import WRAP, Record, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
+from authguard_r.core.mission import DataClass
 from authguard_r.keys.readers import ReaderKey
 from authguard_r.sealing.wraps import Wrapped, WrappedFor
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.core.identifiers import Base64Url, Digest, Identifier, RobotId
+from authguard_r.core.mission import DataClass
 
 
 class Wrapped(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from authguard_r.core.provenance import TRUST, Label
+from authguard_r.core.provenance import MOST, TRUST, Label, SourceField
 from authguard_r.site.channels import CHANNELS
 from authguard_r.site.model import Site
 from authguard_r.site.names import named, shown
@@ -75,6 +75,7 @@ def changes(old: Site, new: Site) -> tuple[Change, ...]:
     places = [site.emergency.places if site.emergency is not None else {} for site in (old, new)]
     found += _differences(("emergency", "places"), *places)
     found += _channels(before["channels"], after["channels"])
+    found += _sources(old, new)
     for part in ("baseline", "id", "version"):
         found += _differences((part,), before[part], after[part])
     order = list(Effect)
@@ -130,6 +131,15 @@ def _channels(old: dict[str, str], new: dict[str, str]) -> Iterator[Change]:
             less = TRUST.index(Label(now)) > TRUST.index(Label(was))
             effect = Effect.NARROWS if less else Effect.WIDENS
         yield _change(effect, ("channels", channel), *written)
+
+
+def _sources(old: Site, new: Site) -> Iterator[Change]:
+    """Yield the fields that more or fewer labels may set than before."""
+    for field in SourceField:
+        was, now = (site.sources.get(field, tuple(sorted(MOST[field]))) for site in (old, new))
+        if was != now:
+            effect = Effect.NARROWS if set(now) < set(was) else Effect.WIDENS
+            yield _change(effect, ("sources", str(field)), list(was), list(now))
 
 
 def _differences(path: tuple[str, ...], old: Any, new: Any) -> Iterator[Change]:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
+from authguard_r.core.mission import source_faults
 from authguard_r.site.channels import channel_faults
 from authguard_r.site.model import ActionModel, Site
 from authguard_r.site.names import name_faults, shown, twin_faults
@@ -42,6 +43,7 @@ def faults(site: Site) -> tuple[Fault, ...]:
         _emergency,
         _baseline,
         channel_faults,
+        _sources,
     )
     return tuple(Fault(where, message) for part in parts for where, message in part(site))
 
@@ -53,6 +55,10 @@ def unreviewed(site: Site) -> tuple[str, ...]:
     ]
     objects = [f"objects.{item}.kind" for item, m in site.objects.items() if m.kind == UNREVIEWED]
     return (*regions, *objects)
+
+
+def _sources(site: Site) -> Iterator[tuple[str, str]]:
+    yield from source_faults(site.sources)
 
 
 def _objects(site: Site) -> Iterator[tuple[str, str]]:

@@ -37,7 +37,8 @@ from authguard_r.core.identifiers import (
     ToolId,
     VariableId,
 )
-from authguard_r.core.provenance import Label
+from authguard_r.core.mission import Sources
+from authguard_r.core.provenance import Label, allowed_of
 from authguard_r.core.reasons import Reason
 from authguard_r.site.paths import stopping_margin
 
@@ -229,6 +230,8 @@ class Site(_Model, frozen=True, kw_only=True):
             signs that they are harmless. They have no field, no parameter and no flag.
         channels: the site's own ways on which text reaches a planner, each with its label; a
             shipped one (`site.channels.CHANNELS`) to trust it less. None is more than `model`.
+        sources: AllowedSrc(f) by field, sorted: no mission of the site is wider
+            (docs/spec/provenance.md#source-sets).
     """
 
     schema: Literal["authguard-r/site/1"]
@@ -243,6 +246,7 @@ class Site(_Model, frozen=True, kw_only=True):
     emergency: Emergency | None = None
     baseline: tuple[ActionType, ...] = ()
     channels: dict[Identifier, Label] = {}
+    sources: Sources = {}
 
 
 def site_digest(site: Site) -> Digest:
@@ -309,6 +313,7 @@ def facts_of(site: Site, *, rid: RobotId, profile: Digest) -> SiteFacts:
         },
         objects={item: model.kind for item, model in site.objects.items()},
         vocabulary={kind: _kind(model) for kind, model in site.vocabulary.items()},
+        sources=allowed_of(site.sources),
     )
 
 

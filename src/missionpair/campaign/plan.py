@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from msgspec import Struct
 
+from authguard_r.core.fields import ProtectedField
 from missionpair.pair import Pair
 from missionpair.registry import SpecificationError
 from missionpair.score import DEFAULT, Weights
@@ -37,6 +38,7 @@ class Plan(Struct, frozen=True, kw_only=True):
         pairs: how many of those, from the first; None takes all.
         kinds: which kinds of trial.
         weights: of the score.
+        field_weights: w_j of D_M; none: as each mission signs them.
         unqualified: score also baselines that do not do what they claim.
     """
 
@@ -53,6 +55,7 @@ class Plan(Struct, frozen=True, kw_only=True):
     pairs: int | None = None
     kinds: tuple[Kind, ...] = tuple(Kind)
     weights: Weights = DEFAULT
+    field_weights: dict[ProtectedField, int] = {}
     unqualified: bool = False
 
     def taken(self, pairs: tuple[Pair, ...]) -> tuple[Pair, ...]:

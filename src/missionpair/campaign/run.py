@@ -176,6 +176,7 @@ def campaign_of(worker: Worker, qualified: tuple[Qualified, ...] = ()) -> Campai
         turns=plan.turns,
         kinds=tuple(map(str, plan.kinds)),
         weights=plan.weights.thousandths,
+        field_weights={str(field): weight for field, weight in plan.field_weights.items()},
         trials=pairs * setting.trials,
         version=version("authguard-r"),
         qualified=qualified,

@@ -60,7 +60,7 @@ class Worker:
         if self.is_live:
             self._live = self.setting.planner
         folder.mkdir()
-        self.yard = Yard(folder)
+        self.yard = Yard(folder, field_weights=self.plan.field_weights)
 
     @property
     def is_paid(self) -> bool:

@@ -20,6 +20,7 @@ _DRAWN = (
     "rounds",
     "turns",
     "weights",
+    "field_weights",
 )
 
 

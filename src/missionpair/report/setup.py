@@ -28,6 +28,10 @@ _PLAIN = (
 )
 
 
+def _weights(given: dict[str, int]) -> str:
+    return ", ".join(f"{name} {weight}" for name, weight in given.items()) or "as signed"
+
+
 def setup_table(logs: tuple[Measured, ...]) -> Table:
     """Return one row for each campaign, with every parameter that shapes it."""
     rows = []
@@ -44,6 +48,7 @@ def setup_table(logs: tuple[Measured, ...]) -> Table:
                 "; ".join(f"{d.name} {_parameters(d)}" for d in campaign.defenses if d.parameters),
                 ", ".join(map(printable, campaign.kinds)),
                 ", ".join(map(str, campaign.weights)),
+                _weights(campaign.field_weights),
                 *(getattr(campaign, name) for name in _PLAIN),
                 measured.trials,
                 campaign.trials,
@@ -60,6 +65,7 @@ def setup_table(logs: tuple[Measured, ...]) -> Table:
         Head("defense_parameters", "Their parameters"),
         Head("kinds", "Kinds"),
         Head("weights", "lambda 1 to 5"),
+        Head("field_weights", "Weights of fields"),
         *(Head(name, name.replace("_", " ").capitalize()) for name in _PLAIN),
         Head("trials", "Trials"),
         Head("planned", "of"),

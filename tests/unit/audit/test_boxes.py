@@ -22,7 +22,6 @@ from authguard_r.audit.boxes import (
     SPOKEN,
     Box,
     Cover,
-    DataClass,
     act_of,
     append_covered,
     classes_of,
@@ -41,6 +40,7 @@ from authguard_r.audit.record import (
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import MalformedError
+from authguard_r.core.mission import DataClass
 from fixtures import scenarios
 from fixtures.amount import amount
 from unit.test_record import Log

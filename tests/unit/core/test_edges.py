@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from random import Random
 from typing import Any
 
@@ -17,13 +16,13 @@ from authguard_r.core.checks.provenance import selectable_rows
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import ActionKind
-from authguard_r.core.finding import deviation, in_paper_order
+from authguard_r.core.finding import in_paper_order
 from authguard_r.core.lease import permit, still
 from authguard_r.core.lifecycle import Event, Status
 from authguard_r.core.mission import Guard, Limit, Row
 from authguard_r.core.provenance import Label, least_trusted
 from authguard_r.core.quantities import Now, to_ms, to_timestamp
-from authguard_r.core.reasons import ORDER, PROTECTED, Reason
+from authguard_r.core.reasons import ORDER, Reason
 from authguard_r.core.risk import rho
 from authguard_r.core.standing import (
     Outcome,
@@ -320,20 +319,6 @@ def test_the_lease_is_the_oracles_lease() -> None:
         "STATE_STALE",
         "GUARD_FALSE",
     }
-
-
-def test_deviation_is_zero_exactly_for_what_complies_and_grows_with_each_violation() -> None:
-    assert deviation(decide_case(accepted_case(Random(1))).findings, {}) == 0
-    for reason in ALONE:
-        found = decide_case(ALONE[reason](Random(3))).findings
-        share = deviation(found, {})
-        assert 0 < share < 1
-        weights = {Reason(reason): 10}
-        assert deviation(found, weights) == oracle.action_deviation(
-            [str(f.reason) for f in found], {str(k): v for k, v in weights.items()}
-        )
-    assert deviation((), {}) == Fraction(0)
-    assert len(PROTECTED) == len(set(PROTECTED))
 
 
 def test_findings_come_in_paper_order_without_repeats() -> None:

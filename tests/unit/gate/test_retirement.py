@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from authguard_r.assembly import Simulation
-from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.record import Entry, append
 from authguard_r.commands import Verb
+from authguard_r.core.mission import DataClass
 from authguard_r.core.quantities import to_ms
 from authguard_r.gate.config import default_config
 from authguard_r.gate.liveness import Liveness

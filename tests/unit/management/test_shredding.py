@@ -14,14 +14,13 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.assembly import Simulation
-from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.record import BOX, WRAP, Entry, append
 from authguard_r.audit.verify import Row
 from authguard_r.cli.replay import Replay
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, StoreError
-from authguard_r.core.mission import Mission
+from authguard_r.core.mission import DataClass, Mission
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import OpenRelease, Spend
 from authguard_r.ledger import Act

@@ -44,6 +44,8 @@ def test_without_a_mission_every_field_has_the_label_of_what_could_be_seen() -> 
     for base in Label:
         with case(base):
             assert label_fields(PLACE, None, None, base=base) == {
+                "type": base,
+                "tool": base,
                 "object": base,
                 "source": base,
                 "destination": base,
@@ -53,12 +55,15 @@ def test_without_a_mission_every_field_has_the_label_of_what_could_be_seen() -> 
 
 def test_a_field_that_an_action_does_not_have_has_no_label() -> None:
     bare = Action(type="scan_obstacles", tool="lidar")
-    assert label_fields(bare, scenarios.verified(), None, base=Label.CAMERA) == {}
+    labels = label_fields(bare, scenarios.verified(), None, base=Label.CAMERA)
+    assert labels == {"type": Label.CAMERA, "tool": Label.CAMERA}
 
 
 def test_the_only_value_that_the_mission_leaves_is_the_operator_s() -> None:
     """Whoever repeats it, the operator chose it; way and source are never a choice of theirs."""
     assert label_fields(PLACE, scenarios.verified(), None, base=Label.CAMERA) == {
+        "type": Label.CAMERA,
+        "tool": Label.CAMERA,
         "object": Label.OPERATOR,
         "source": Label.CAMERA,
         "destination": Label.OPERATOR,

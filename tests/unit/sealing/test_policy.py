@@ -9,9 +9,9 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import DataClass
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError
+from authguard_r.core.mission import DataClass
 from authguard_r.sealing import Reader, Retention, require_readers, require_retention
 from fixtures import sealed_logs
 

@@ -12,12 +12,13 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import SEALING, DataClass
+from authguard_r.audit.boxes import SEALING
 from authguard_r.audit.record import BOX, WRAP, Entry, Sealed, append, read_sealed
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
+from authguard_r.core.mission import DataClass
 from authguard_r.core.ports import Turn
 from authguard_r.ledger import Act
 from authguard_r.sealing import KeyRing, SealingPolicy

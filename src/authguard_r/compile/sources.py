@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source sets, weights of fields and retention, as people write them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+
+from authguard_r.compile.draft import Quantity
+from authguard_r.compile.questions import Questions
+from authguard_r.core.checks.provenance import wider_sources
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.fields import ProtectedField, Weights
+from authguard_r.core.identifiers import MAX_INTEGER
+from authguard_r.core.mission import DataClass
+from authguard_r.core.provenance import Label, SourceField, allowed_of
+from authguard_r.core.reasons import Reason
+from authguard_r.site.model import Site
+
+_MS = "ms"
+
+
+def build_sources(given: Mapping[str, tuple[str, ...]], site: Site) -> dict[str, list[str]]:
+    """Return AllowedSrc(f) of a draft, sorted.
+
+    Raises:
+        MalformedError: no field or no label of that name, or a set wider than the site's.
+    """
+    for field, labels in given.items():
+        _require_known(field, SourceField, f"sources.{field}")
+        for number, label in enumerate(labels):
+            _require_known(label, Label, f"sources.{field}[{number}]")
+    signed = {SourceField(field): tuple(map(Label, labels)) for field, labels in given.items()}
+    for field in wider_sources(allowed_of(signed), allowed_of(site.sources)):
+        text = f"expected labels that the site allows: {', '.join(site.sources[field])}"
+        raise MalformedError(text, where=f"sources.{field}", reason=Reason.PROVENANCE_DENIED)
+    return {field: sorted(set(labels)) for field, labels in given.items()}
+
+
+def build_retention(given: Mapping[str, Quantity], asked: Questions) -> dict[str, int | None]:
+    """Return how long the sealed fields of each class are kept, in milliseconds.
+
+    Raises:
+        MalformedError: no class of that name.
+    """
+    for data in given:
+        _require_known(data, DataClass, f"retention.{data}")
+    return {
+        data: asked.integer(length, _MS, field=f"retention.{data}")
+        for data, length in given.items()
+    }
+
+
+def read_weights(given: Mapping[str, object], *, where: str) -> Weights:
+    """Return w_j as a person wrote them, by the name of the field.
+
+    Raises:
+        MalformedError: with the place: no protected field, or no whole number above zero.
+    """
+    for name, weight in given.items():
+        _require_known(name, ProtectedField, f"{where}.{name}")
+        if type(weight) is not int or not 0 < weight <= MAX_INTEGER:
+            text = f"expected a whole number above zero, got `{weight}`"
+            raise MalformedError(text, where=f"{where}.{name}", reason=Reason.VALUE_INVALID)
+    return {ProtectedField(name): weight for name, weight in given.items() if type(weight) is int}
+
+
+def given_weights(texts: Iterable[str], *, where: str) -> Weights:
+    """Return w_j as options on a command line write them, `FIELD=N` each.
+
+    Raises:
+        MalformedError: as `read_weights`.
+    """
+    pairs = [text.partition("=") for text in texts]
+    wholes = {name: int(n) for name, _, n in pairs if n.isascii() and n.isdecimal() and len(n) < 17}
+    return read_weights({name: wholes.get(name, n) for name, _, n in pairs}, where=where)
+
+
+def _require_known(name: str, known: type[StrEnum], where: str) -> None:
+    names: Iterable[str] = known
+    if name not in set(names):
+        text = f"expected one of {', '.join(known)}, got `{name}`"
+        raise MalformedError(text, where=where, reason=Reason.NAME_UNKNOWN)
