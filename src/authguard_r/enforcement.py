@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.audit.deviation import weights_of
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
@@ -28,7 +29,6 @@ from authguard_r.core.ports import Clock, SafetyGate
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.core.risk import weights_of
 from authguard_r.core.standing import Outcome, Standing, advance, ask, close_request, reserve
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
@@ -42,6 +42,7 @@ from authguard_r.report import (
     Judged,
     Refusal,
     Report,
+    cause_of,
     decision_entry,
     fault_finding,
     open_question,
@@ -141,7 +142,7 @@ class Enforcer:
             entry = decision_entry(judged, influences, counted(judged, self._facts))
             report = Report(judged=judged, influences=influences)
             if not self._commit(act, judged):
-                seq = act.refuse(entry, fold=(planner, *_cause(judged)))
+                seq = act.refuse(entry, fold=(planner, *cause_of(judged)))
                 return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
             number = record_decision(act, judged, entry)
             keep(act, report, number)
@@ -234,6 +235,7 @@ class Enforcer:
             now=now,
             standing=standing,
             approvals=answered.approvals,
+            preapprovals=answered.preapprovals,
         )
         safety = None
         if decision.verdict is Verdict.ACCEPT:
@@ -251,7 +253,7 @@ class Enforcer:
             now=now,
             ticket=digest_of(Tag.ACTION, (digested, act.head()[0], act.salt())),
             request=open_question(decision, verified, standing, now, risk=self._facts.risk),
-            approvals=answered.tokens,
+            approvals=answered.used_by(decision),
             answers=answered.approvals,
             weights=weights_of(verified.mission.risk_policy, self._facts.risk),
         )
@@ -272,6 +274,7 @@ class Enforcer:
                 spend=spend_of(kind, grant, judged.action.params),
                 now=judged.now,
                 per_ms=judged.verified.mission.budgets.rate.per_ms,
+                preapproved=judged.decision.preapproved,
             )
         elif judged.request is not None:
             standing = ask(standing, grant.id, judged.request)
@@ -341,12 +344,6 @@ class Enforcer:
             inputs: what to seal beside it: the plan itself, where a shadow run keeps it.
         """
         return self._refused(error, planner, (), inputs)
-
-
-def _cause(judged: Judged) -> tuple[str, str]:
-    """Return reason and field of the first finding: what repeats of a refusal have in common."""
-    finding = next(iter(judged.decision.findings), None)
-    return ("SAFETY", "") if finding is None else (finding.reason, finding.field)
 
 
 def attested_source(step: Step, state: AttestedState | None) -> Action:

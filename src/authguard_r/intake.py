@@ -11,13 +11,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Protocol
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.anchoring.anchor import Anchor
-from authguard_r.approvals import open_approval
+from authguard_r.approvals import open_approval, open_preapproval
+from authguard_r.approvals.consents import Consents, GivenApprovals
 from authguard_r.audit.record import Entry
-from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
+from authguard_r.core.approval import Verdict, VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.encoding import Tag, encode_fast, unb64
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -38,12 +38,11 @@ from authguard_r.ledger import SKEW_MS, Act, Ledger, read_held
 from authguard_r.templates import (
     Delegations,
     HeldMission,
-    Instance,
     Instantiated,
     KeptTemplate,
     Pair,
     VerifiedTemplate,
-    claimed,
+    claimed_template,
     held_mission,
     instantiate,
     is_pair,
@@ -78,13 +77,6 @@ class Identities(Delegations, Protocol):
         ...
 
 
-class Answered(Struct, frozen=True):
-    """Answers to open requests: verified, and as the tokens that they came in."""
-
-    approvals: tuple[VerifiedApproval, ...] = ()
-    tokens: tuple[str, ...] = ()
-
-
 class Intake:
     """The gate's side of every channel that authority or state comes through.
 
@@ -111,6 +103,8 @@ class Intake:
         self._source = source
         self._facts = facts
         self._verified: dict[Digest, VerifiedMission] = {}
+        #: What principals consented to before anybody asked.
+        self.consents = Consents(verifier)
         self._state: AttestedState | None = None
         self._seen: bytes | None = None
         self._held: bytes | None = None
@@ -308,6 +302,7 @@ class Intake:
     def forget(self) -> None:
         """Drop every kept mission: after a revocation the next action verifies anew."""
         self._verified.clear()
+        self.consents.forget()
 
     def verify_answer(self, act: Act, token: bytes) -> VerifiedApproval:
         """Return the answer in a token, at the act's time.
@@ -370,14 +365,32 @@ class Intake:
             chain = tuple(unb64(der, where="token.endorsements") for der in endorsement.chain)
             yield self._verifier.bearer(chain)
 
-    def answers(self, act: Act, standing: Standing | None) -> Answered:
-        """Return every kept answer to an open request that is still authentic now."""
+    def answers(self, act: Act, standing: Standing | None) -> GivenApprovals:
+        """Return every kept answer to an open request, and pre-approval, that is authentic now."""
         found: list[tuple[VerifiedApproval, str]] = []
         for request in () if standing is None else standing.requests.values():
             held = act.get("approvals", f"{standing.mid}:{request.counter}") if standing else None
             tokens = read_held(held, tuple[str, ...], "approvals") if held else ()
             found += self._authentic(act, tokens)
-        return Answered(tuple(one for one, _ in found), tuple(token for _, token in found))
+        consents = () if standing is None else self.consents.kept(act, standing, act.now)
+        return GivenApprovals(
+            approvals=tuple(one for one, _ in found),
+            tokens=tuple(token for _, token in found),
+            preapprovals=tuple(one for one, _ in consents),
+            consents={one.digest: token for one, token in consents},
+        )
+
+    def verify_preapproval(self, act: Act, token: bytes) -> VerifiedPreApproval:
+        """Return the pre-approval in a token, at the act's time, of nobody who issued the mission.
+
+        Raises:
+            MalformedError: not a pre-approval token.
+            AuthenticityError: certificate or signature does not hold.
+            RefusedError: its key has issued the mission under another name (`ISSUER_MISMATCH`).
+        """
+        item = open_preapproval(token, verifier=self._verifier, now=act.now)
+        self._require_one_name(token, _issuing(act, item.preapproval.mid))
+        return item
 
     def _authentic(
         self, act: Act, tokens: tuple[str, ...]
@@ -440,13 +453,6 @@ class Intake:
             )
 
 
-def is_asked(act: Act, approval: Approval) -> bool:
-    """True while the mission has an open request of the answer's number."""
-    standing = act.standing(approval.mid)
-    open_now = () if standing is None else standing.requests.values()
-    return any(request.counter == approval.counter for request in open_now)
-
-
 def _token(act: Act, digest: Digest) -> bytes:
     """Return a mission version as it was taken in: a token, or a template's and its instance's."""
     held = act.token(digest)
@@ -469,15 +475,6 @@ def _parts(held: bytes) -> tuple[str, ...]:
         return (held.decode("ascii"),)
     pair = read_held(held, Pair, "token")
     return pair.template, pair.instance
-
-
-def claimed_template(token: bytes) -> Digest:
-    """Return the digest of the template that an instance token names; nothing is verified.
-
-    Raises:
-        MalformedError: not an instance token.
-    """
-    return claimed(token, Instance, tag=Tag.INSTANCE).template
 
 
 def _corrupt(message: str) -> StoreError:

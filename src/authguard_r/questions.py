@@ -122,6 +122,13 @@ def find_asked(
     )
 
 
+def is_asked(act: Act, approval: Approval) -> bool:
+    """True while the mission has an open request of the answer's number."""
+    standing = act.standing(approval.mid)
+    open_now = () if standing is None else standing.requests.values()
+    return any(request.counter == approval.counter for request in open_now)
+
+
 def read_told(act: Act, mid: MissionId, counter: int, opened: Opened) -> Told:
     """Return the record of the decision that opened a request.
 
@@ -268,6 +275,7 @@ def _checked(
     need = Need(
         risk=0,
         required=_NEVER if required is None else required,
+        tier=asked.request.required,
         scope=asked.request.scope,
         situation=asked.request.situation,
     )

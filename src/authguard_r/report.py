@@ -14,12 +14,12 @@ from typing import Any
 import msgspec
 from msgspec import Raw, Struct
 
+from authguard_r.audit.deviation import Weights, deviation
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.fields import Weights, deviation
 from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.identifiers import Digest, Identifier, MissionId
 from authguard_r.core.lifecycle import Status
@@ -159,6 +159,12 @@ def open_question(
     )
 
 
+def cause_of(judged: Judged) -> tuple[str, str]:
+    """Return reason and field of the first finding: what repeats of a refusal have in common."""
+    finding = next(iter(judged.decision.findings), None)
+    return ("SAFETY", "") if finding is None else (finding.reason, finding.field)
+
+
 def decision_entry(
     judged: Judged, influences: tuple[Influence, ...], counted: list[dict[str, Any]] | None = None
 ) -> Entry:
@@ -193,6 +199,7 @@ def decision_entry(
             "ticket": judged.ticket if judged.released else NONE,
             **({} if judged.request is None else {"asks": judged.request.counter}),
             **({"approvers": counted} if counted else {}),
+            **({"preapproved": decision.preapproved} if decision.preapproved else {}),
         },
         sealed={
             "action": judged.action,

@@ -12,9 +12,9 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.audit.deviation import Weights, violated_fields
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Decision
-from authguard_r.core.fields import Weights, violated_fields
 from authguard_r.core.finding import Finding
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome

@@ -181,6 +181,60 @@ def approval_finding(
     return "APPROVAL_REQUIRED"
 
 
+def is_covered(
+    mission: Json,
+    digest: str,
+    grant: Json,
+    row: int,
+    *,
+    risk: int,
+    required: int,
+    policies: list[Json],
+    consent: Json,
+    issuer: Json,
+    action: Json,
+    robot: Json,
+    now: Json,
+    standing: Json | None,
+) -> bool:
+    """Decide whether a pre-approval covers an action of the second line of `eq:threshold`.
+
+    Args:
+        mission: The mission.
+        digest: Its digest.
+        grant: The matched grant.
+        row: The index of its row.
+        risk: rho(a, s).
+        required: Req(a, s).
+        policies: The policies, for the roles that each of them wants.
+        consent: The pre-approval, its digest and its approver.
+        issuer: The mission's issuer.
+        action: The normalized action.
+        robot: The gate's own robot.
+        now: The two clocks.
+        standing: The standing, or None.
+
+    Returns:
+        True when it does.
+    """
+    said, approver = consent["preapproval"], consent["approver"]
+    expected = binding_of(mission, digest, grant, action, robot=robot)
+    del expected["scope"]
+    used = (standing or {}).get("preapproved", {}).get(consent["digest"], 0)
+    return (
+        all(said[field] == value for field, value in expected.items())
+        and row in said["rows"]
+        and risk <= said["most_risk"]
+        and used < said["uses"]
+        and now["utc_ms"] <= said["expires_ms"]
+        and now["utc_ms"] <= approver["usable_until_ms"]
+        and all(approver["role"] in policy["roles"] for policy in policies)
+        and approver["id"] != mission["issuer"]
+        and inside(approver["scope"], robot["rid"], places_of(action))
+        and people_behind([approver], issuer) >= required
+    )
+
+
 def binding_of(mission: Json, digest: str, grant: Json, action: Json, *, robot: Json) -> Json:
     """Collect what an approval must bind, situation and counter left aside.
 
@@ -208,6 +262,7 @@ def step_7(
     mission: Json,
     digest: str,
     grant: Json,
+    row: int,
     *,
     action: Json,
     state: Json | None,
@@ -215,6 +270,7 @@ def step_7(
     now: Json,
     standing: Json | None,
     approvals: list[Json],
+    preapprovals: list[Json],
     issuer: Json | None = None,
 ) -> tuple[list[str], int, int]:
     """Carry out step 7, approval, for the matched grant.
@@ -223,12 +279,14 @@ def step_7(
         mission: The mission.
         digest: The mission's digest.
         grant: The matched grant.
+        row: The index of its row.
         action: The normalized action.
         state: The snapshot, or None.
         facts: The facts.
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
+        preapprovals: What was consented to before anybody asked.
         issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
@@ -257,4 +315,11 @@ def step_7(
         now=now,
         prompts=prompts,
     )
+    if finding not in ("", "APPROVAL_DENIED") and tier == 2:
+        seen: Json = {"policies": policies, "action": action, "now": now, "standing": standing}
+        seen |= {"issuer": issuer or {"id": mission["issuer"]}, "robot": facts["robot"]}
+        for consent in preapprovals:
+            held: Json = {"consent": consent, "risk": risk, "required": required, **seen}
+            if is_covered(mission, digest, grant, row, **held):
+                finding = ""
     return ([finding] if finding != "" else []), required, risk

@@ -202,6 +202,7 @@ def decide(
     now: Json,
     standing: Json | None,
     approvals: list[Json],
+    preapprovals: list[Json] | None = None,
     issuer: Json | None = None,
 ) -> Json:
     """Decide on one action: `alg:authguard`.
@@ -216,6 +217,7 @@ def decide(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
+        preapprovals: Authentic consents that were given before anybody asked.
         issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
@@ -230,8 +232,9 @@ def decide(
     seen: Json = {"action": action, "state": state, "facts": facts, "now": now}
     label = label_of_signer((issuer or {}).get("role", "operator"))
     grant, row, of_match = match(mission, standing=standing, issuer=label, **seen)  # step 6
+    said: Json = {"approvals": approvals, "preapprovals": preapprovals or []}
     of_approval, required, risk = step_7(
-        mission, digest, grant, standing=standing, approvals=approvals, issuer=issuer, **seen
+        mission, digest, grant, row, standing=standing, issuer=issuer, **said, **seen
     )
     return result(found + of_match + of_approval, grant["id"], row, required, risk)  # step 9
 

@@ -15,12 +15,12 @@ import msgspec
 
 from authguard_r.approvals import Selection, answer
 from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
+from authguard_r.audit.deviation import Weights
 from authguard_r.commands import Command, Verb
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.draft import Draft
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
-from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import GrantId, Identifier, RobotId
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.mission import Mission

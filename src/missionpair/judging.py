@@ -21,12 +21,12 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 import authguard_reference as oracle
+from authguard_r.audit.deviation import FIELD_OF, deviation
 from authguard_r.core.action import Action
 from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.fields import FIELD_OF, deviation
 from authguard_r.core.finding import Findings
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason

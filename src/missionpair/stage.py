@@ -24,12 +24,12 @@ from typing import Any, Self, TypeVar
 import msgspec
 
 from authguard_r.assembly import Simulation, demo_members
+from authguard_r.audit.deviation import Weights
 from authguard_r.commands import Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import SafetyGate

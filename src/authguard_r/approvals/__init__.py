@@ -11,7 +11,13 @@ from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
+from authguard_r.core.approval import (
+    Approval,
+    PreApproval,
+    Verdict,
+    VerifiedApproval,
+    VerifiedPreApproval,
+)
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import (
     Base64Url,
@@ -98,6 +104,19 @@ def open_approval(data: bytes, *, verifier: Verifier, now: Now) -> VerifiedAppro
         data, Approval, tag=Tag.APPROVAL, roles=APPROVER_ROLES, verifier=verifier, now=now
     )
     return VerifiedApproval(approval=approval, approver=principal)
+
+
+def open_preapproval(data: bytes, *, verifier: Verifier, now: Now) -> VerifiedPreApproval:
+    """Return a pre-approval once its signature holds; whether it fits is decided at use.
+
+    Raises:
+        MalformedError: no canonical pre-approval.
+        AuthenticityError: certificate or signature does not hold.
+    """
+    said, digest, principal = open_token(
+        data, PreApproval, tag=Tag.PREAPPROVAL, roles=APPROVER_ROLES, verifier=verifier, now=now
+    )
+    return VerifiedPreApproval(preapproval=said, digest=digest, approver=principal)
 
 
 def open_selection(data: bytes, *, verifier: Verifier, now: Now) -> tuple[Selection, Principal]:

@@ -70,6 +70,7 @@ ADDED: Final = {
         "lists": "key_lists:lists_command",
         "show": "key_lists:show_command",
     },
+    "approvals": {"preapprove": "preapprove:preapprove_command"},
     "mission": {
         "draft": "draft:draft_command",
         "template": "templates:app",

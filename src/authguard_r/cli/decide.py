@@ -13,6 +13,7 @@ from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
 from authguard_r.approvals.organization import VerifiedPolicy
+from authguard_r.audit.deviation import Weights
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
@@ -37,7 +38,6 @@ from authguard_r.compile.sources import given_weights
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.fields import Weights
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import SafetyGate
 from authguard_r.core.quantities import Now

@@ -95,7 +95,7 @@ def activate_command(
     if said is None and read_token(data).kind is not Tag.INSTANCE:
         warn("no confirmation lies beside the token: the log will say that none was given")
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
-    return _manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
+    return manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
 
 
 def _confirmation(token: Path, named: Path | None) -> bytes | None:
@@ -126,7 +126,7 @@ def _order(verb: Verb) -> Callable[..., int]:
             token, trust, template, key, cert, verb=verb, passphrase_file=passphrase_file
         )
         place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
-        return _manage(place, lambda m: m.command(signed), as_json=as_json)
+        return manage(place, lambda m: m.command(signed), as_json=as_json)
 
     order.__doc__ = {
         Verb.REVOKE: "End a mission for good; the next action is refused.",
@@ -158,13 +158,13 @@ def resolve_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Say, signed, how a release ended that nobody could observe."""
-    verified = _opened(token, trust, template)
+    verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     signed = _command(
         verified, signer, Verb.RESOLVE, ticket=Digest(ticket), outcome=Outcome(outcome)
     )
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
-    return _manage(place, lambda m: m.command(signed), as_json=as_json)
+    return manage(place, lambda m: m.command(signed), as_json=as_json)
 
 
 @app.command("choose")
@@ -187,9 +187,9 @@ def choose_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Choose, signed, one of the rows that a grant offers; at a terminal it shows it and asks."""
-    verified = _opened(token, trust, template)
+    verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
-    shown = _row_lines(verified.mission, grant, row, load_site(site, trust))
+    shown = row_lines(verified.mission, grant, row, load_site(site, trust))
     asks = not yes and sys.stdin.isatty()  # where nobody is, the command is the order
     if asks:
         if not shown:
@@ -209,10 +209,10 @@ def choose_command(
     signed = sign_object(selection, Tag.SELECTION, signer)
     said = [] if asks else shown
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
-    return _manage(place, lambda m: m.select(signed), said, as_json=as_json)
+    return manage(place, lambda m: m.select(signed), said, as_json=as_json)
 
 
-def _row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[str]:
+def row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[str]:
     """Return the row in the card's words; none when there is no such row, which the gate refuses.
 
     A choice that is not possible leaves its record like any other order, so it is not stopped here.
@@ -226,7 +226,7 @@ def _row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[st
     ]
 
 
-def _manage(
+def manage(
     place: Kept,
     act: Callable[[Orders], Standing],
     said: Iterable[str] = (),
@@ -263,7 +263,7 @@ def managed(place: Kept, act: Callable[[Orders], T]) -> tuple[T, bool]:
             return act(gate.management), False
 
 
-def _opened(token: Path, trust: Path, template: Path | None) -> VerifiedMission:
+def opened_mission(token: Path, trust: Path, template: Path | None) -> VerifiedMission:
     """Return the mission that an order is about: signed itself, or made of a template."""
     anchor, at = read_trust(trust), wall_now(None)
     if read_token(read_file(token)).kind is not Tag.INSTANCE:
@@ -333,7 +333,7 @@ def signed_order(
         verb: the order.
         passphrase_file: what opens the key, when somebody has to.
     """
-    verified = _opened(token, trust, template)
+    verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     return _command(verified, signer, verb)
 

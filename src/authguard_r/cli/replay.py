@@ -180,6 +180,7 @@ def decided_again(found: Inputs) -> dict[str, Any]:
         now=found.values["now"],
         standing=standing[0] if standing else None,
         approvals=found.approvals,
+        preapprovals=found.preapprovals,
         issuer=None if issuer is None else plain(issuer),
     )
     return {

@@ -11,13 +11,14 @@ Spec page: docs/spec/audit-record.md#replay
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.approvals import open_approval
+from authguard_r.approvals import open_approval, open_preapproval
 from authguard_r.approvals.organization import (
     OrganizationPolicy,
     open_policy,
@@ -80,6 +81,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
         facts: site, robot and the organization's policies.
         values: what the record sealed: action, state, now, standing.
         approvals: the answers, opened.
+        preapprovals: what was consented to before anybody asked, opened.
         ends_known: every revocation list of then is at hand, so the end above is exact.
         safety: the safety gate's configuration; None: it is not in the log.
     """
@@ -90,6 +92,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
     facts: dict[str, Any]
     values: dict[str, Any]
     approvals: list[dict[str, Any]]
+    preapprovals: list[dict[str, Any]]
     ends_known: bool
     safety: dict[str, Any] | None = None
 
@@ -201,7 +204,8 @@ class Sources:
                 issuer=self._issuer(digest, kept, beside.now),
                 facts=self._plain_facts,
                 values=values,
-                approvals=self._answers(beside),
+                approvals=self._answers(beside, is_consent=False),
+                preapprovals=self._answers(beside, is_consent=True),
                 ends_known=self._trust is not None and not self._has_unknown_lists(),
                 safety=self.second.config,
             )
@@ -348,12 +352,13 @@ class Sources:
             self._missions[digest] = kept
         return kept.issuer
 
-    def _answers(self, beside: _Beside) -> list[dict[str, Any]]:
-        if self._trust is None:
-            return []  # none of them counted, so none is missed
+    def _answers(self, beside: _Beside, *, is_consent: bool) -> list[dict[str, Any]]:
+        """Return what people said when they were asked, or consented to before that."""
+        opened: Callable[..., Any] = open_preapproval if is_consent else open_approval
         return [
-            plain(open_approval(self._known(token), verifier=self._trust, now=beside.now))
-            for token in beside.approvals
+            plain(opened(self._known(token), verifier=self._trust, now=beside.now))
+            for token in (beside.approvals if self._trust is not None else ())  # else none counted
+            if (read_token(as_token(token)).kind is Tag.PREAPPROVAL) is is_consent
         ]
 
     def _known(self, token: Any) -> bytes:
@@ -372,8 +377,8 @@ class Sources:
         return data
 
     def _has_unknown_lists(self) -> bool:
-        known = () if self._trust is None else self._trust.lists.values()
-        return any(found.number == UNKNOWN.number for found in known)
+        lists = {} if self._trust is None else self._trust.lists
+        return any(found.number == UNKNOWN.number for found in lists.values())
 
 
 def _as_at_first(trust: Trust) -> Trust:

@@ -15,6 +15,7 @@ import typer
 from msgspec import Struct
 
 from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate
+from authguard_r.audit.deviation import Weights
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import (
     BindingOption,
@@ -38,7 +39,6 @@ from authguard_r.compile.change import smallest_change, to_draft
 from authguard_r.compile.sources import given_weights
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission, OnRefusal

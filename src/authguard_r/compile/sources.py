@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 
+from authguard_r.audit.deviation import Weights
 from authguard_r.compile.draft import Quantity
 from authguard_r.compile.questions import Questions
 from authguard_r.core.checks.provenance import wider_sources
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.fields import ProtectedField, Weights
 from authguard_r.core.identifiers import MAX_INTEGER
-from authguard_r.core.mission import DataClass
+from authguard_r.core.mission import DataClass, ProtectedField
 from authguard_r.core.provenance import Label, SourceField, allowed_of
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site

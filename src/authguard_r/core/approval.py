@@ -8,10 +8,12 @@ Spec page: docs/spec/approval.md
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from authguard_r.core.identifiers import Count, Digest, GrantId, MissionId, Positive, RobotId
+from authguard_r.core.mission import MAX_ROWS
 from authguard_r.core.token import Principal
 
 
@@ -48,6 +50,45 @@ class Approval(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     counter: Positive
     expires_ms: Count
     verdict: Verdict
+
+
+class PreApproval(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One principal's consent to a class of actions before anybody asks: some rows of one grant.
+
+    It covers the second line of `eq:threshold` only. On the third line each action needs
+    approvals of its own. Source: section "Threshold Approval Cost" (narrow approval cache).
+
+    Args:
+        mid: the mission.
+        version: its version.
+        mission: digest of the signed mission.
+        rid: the robot.
+        grant: the grant.
+        rows: indices of its rows, sorted.
+        most_risk: the largest rho(a, s) that is covered.
+        uses: releases that are covered in all; 0 withdraws what its signer said before.
+        expires_ms: trusted time after which it is worth nothing.
+        issued_ms: when it was signed; a later one of its signer for the grant replaces it.
+    """
+
+    mid: MissionId
+    version: Positive
+    mission: Digest
+    rid: RobotId
+    grant: GrantId
+    rows: Annotated[tuple[Count, ...], Meta(min_length=1, max_length=MAX_ROWS)]
+    most_risk: Count
+    uses: Count
+    expires_ms: Count
+    issued_ms: Count
+
+
+class VerifiedPreApproval(Struct, frozen=True, kw_only=True):
+    """A pre-approval whose signature holds, its digest and who signed it. Made by `approvals`."""
+
+    preapproval: PreApproval
+    digest: Digest
+    approver: Principal
 
 
 class VerifiedApproval(Struct, frozen=True, kw_only=True):

@@ -18,9 +18,9 @@ order is primary. Spec page: docs/spec/decision.md
 from __future__ import annotations
 
 from authguard_r.core.action import Action
-from authguard_r.core.approval import VerifiedApproval
+from authguard_r.core.approval import VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.checks import GRANT_CHECKS, MISSION_CHECKS, ROW_CHECKS, Case
-from authguard_r.core.checks.approval import assess_need, check_approval
+from authguard_r.core.checks.approval import assess_need, check_approval, find_preapproval
 from authguard_r.core.checks.mission import check_certificate
 from authguard_r.core.checks.provenance import selectable_rows
 from authguard_r.core.decision import Decision, Match, Verdict
@@ -42,6 +42,7 @@ def decide(
     now: Now,
     standing: Standing | None,
     approvals: tuple[VerifiedApproval, ...] = (),
+    preapprovals: tuple[VerifiedPreApproval, ...] = (),
 ) -> Decision:
     """Return whether the action is in Pi_M(s, t) and enough principals approved it.
 
@@ -53,6 +54,7 @@ def decide(
         now: read once by the caller.
         standing: the registry's entry for this mission, read in the same turn.
         approvals: authentic answers; those that do not fit are not counted.
+        preapprovals: authentic consents given before anybody asked; likewise.
 
     Source: `alg:authguard`, `eq:auth-predicate`.
     """
@@ -65,6 +67,7 @@ def decide(
         now=now,
         standing=standing,
         approvals=approvals,
+        preapprovals=preapprovals,
     )
     # (1) certificate, (2) signature, (3) schema: the token's; a certificate that ended stops
     ended = check_certificate(case)
@@ -76,12 +79,19 @@ def decide(
     match = find_match(case)
     found += match.findings
     # (7) approval
-    need = assess_need(case, match.indexed.grant)
-    found += check_approval(case, match.indexed.grant, need)
+    grant = match.indexed.grant
+    need = assess_need(case, grant)
+    asked, consent = check_approval(case, grant, need), None
+    if asked and asked[0].reason is not Reason.APPROVAL_DENIED:
+        consent = find_preapproval(case, grant, match.row, need)
+    found += () if consent is not None else asked
     # (8) update and append: `enforcement`
     if not found:
         # (9) accept
-        return Decision(verdict=Verdict.ACCEPT, findings=(), match=match, need=need)
+        used = None if consent is None else consent.digest
+        return Decision(
+            verdict=Verdict.ACCEPT, findings=(), match=match, need=need, preapproved=used
+        )
     findings = in_paper_order(tuple(found))
     only_approval = all(f.reason is Reason.APPROVAL_REQUIRED for f in findings)
     verdict = Verdict.REQUEST_APPROVAL if only_approval else Verdict.REJECT

@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from authguard_r.core.checks.approval import Need
 from authguard_r.core.finding import Findings
+from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Row
 from authguard_r.core.reasons import Reason, may_pass_later
 from authguard_r.core.token import IndexedGrant
@@ -41,12 +42,14 @@ class Decision(Struct, frozen=True, kw_only=True):
         findings: every violated condition, primary first; empty exactly for `accept`.
         match: the grant and row that the action was held against; None when step 1 stopped.
         need: how many principals it takes, and what they must sign; None when step 1 stopped.
+        preapproved: digest of the pre-approval that stands in for approvals; None: none does.
     """
 
     verdict: Verdict
     findings: Findings
     match: Match | None
     need: Need | None
+    preapproved: Digest | None = None
 
     def __bool__(self) -> bool:
         raise TypeError("a decision has no truth value; compare `.verdict`")

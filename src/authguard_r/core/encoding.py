@@ -40,6 +40,7 @@ class Tag(StrEnum):
     MISSION = "authguard-r/mission/1"
     SELECTION = "authguard-r/selection/1"
     APPROVAL = "authguard-r/approval/1"
+    PREAPPROVAL = "authguard-r/preapproval/1"
     REVOCATION = "authguard-r/revocation/1"
     COMMAND = "authguard-r/command/1"
     SITE = "authguard-r/site/1"

@@ -17,7 +17,6 @@ from msgspec import Meta, Struct
 
 from authguard_r.core import identifiers as ids
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.fields import ProtectedField
 from authguard_r.core.provenance import MOST, Chooser, Label, SourceField
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
@@ -47,6 +46,26 @@ class OnRefusal(StrEnum):
     HOLD = "hold"
     STOP = "stop"
     ASK = "ask"
+
+
+class ProtectedField(StrEnum):
+    """The fields j that D_M of `eq:action-deviation` weighs, in the order of findings."""
+
+    MISSION = "mission"
+    TIME = "time"
+    ROBOT = "robot"
+    TYPE = "type"
+    TOOL = "tool"
+    OBJECT = "object"
+    SOURCE = "source"
+    DESTINATION = "destination"
+    ROUTE = "route"
+    PARAMETERS = "parameters"
+    ORDER = "order"
+    USE = "use"
+    STATE = "state"
+    PROVENANCE = "provenance"
+    APPROVAL = "approval"
 
 
 class DataClass(StrEnum):

@@ -13,7 +13,6 @@ from enum import IntEnum
 from authguard_r.core.action import Action
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.fields import Weights
 from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.quantities import Now
@@ -50,11 +49,6 @@ def rho(
         if finding is None or finding.reason.startswith("STATE_"):
             score += condition.weight
     return min(score, MAX_INTEGER)
-
-
-def weights_of(mission: RiskPolicy, organization: tuple[RiskPolicy, ...]) -> Weights:
-    """Return the signed w_j of D_M: the mission's, or else the organization's."""
-    return next((p.field_weights for p in (mission, *organization) if p.field_weights), {})
 
 
 def tier_of(policy: RiskPolicy, score: int) -> Tier:

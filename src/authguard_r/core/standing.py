@@ -108,6 +108,7 @@ class Standing(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
         counter: the last request counter given out.
         selected: index of the row that an authenticated selection chose, by grant.
         closes_ms: trusted time at which `closing` ends.
+        preapproved: releases that used each pre-approval that was handed in, by its digest.
     """
 
     mid: MissionId
@@ -127,6 +128,7 @@ class Standing(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
     counter: int = 0
     selected: dict[GrantId, int] = {}
     closes_ms: int = 0
+    preapproved: dict[Digest, int] = {}
 
 
 _UNUSED = Use()
@@ -161,7 +163,14 @@ def advance(standing: Standing, event: Event) -> Standing | None:
 
 
 def reserve(
-    standing: Standing, grant: Grant, *, ticket: Digest, spend: Spend, now: Now, per_ms: int
+    standing: Standing,
+    grant: Grant,
+    *,
+    ticket: Digest,
+    spend: Spend,
+    now: Now,
+    per_ms: int,
+    preapproved: Digest | None = None,
 ) -> Standing:
     """Return the standing after a release: the start is used, the lease's maximum reserved.
 
@@ -172,8 +181,11 @@ def reserve(
         spend: the most that the lease can use.
         now: the instant of the decision.
         per_ms: the rate window; older releases are forgotten.
+        preapproved: digest of the pre-approval that the decision rests on; None: on none.
     """
-    use = use_of(standing, grant.id)
+    use, consents = use_of(standing, grant.id), standing.preapproved
+    if preapproved is not None:
+        consents = {**consents, preapproved: consents.get(preapproved, 0) + 1}
     recent = tuple(at for at in standing.releases if at > now.mono_ms - per_ms)
     return _with(
         standing,
@@ -183,6 +195,7 @@ def reserve(
         releases=(*recent, now.mono_ms),
         open=(*standing.open, OpenRelease(ticket=ticket, grant=grant.id, reserved=spend)),
         requests={g: r for g, r in standing.requests.items() if g != grant.id},
+        preapproved=consents,
     )
 
 
@@ -291,6 +304,7 @@ def carry_over(old: Standing, old_mission: Mission, new: VerifiedMission) -> Sta
         requests=fresh.requests,
         selected=fresh.selected,
         closes_ms=fresh.closes_ms,
+        preapproved=fresh.preapproved,
     )
 
 

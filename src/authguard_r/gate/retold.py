@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.audit.deviation import violated_fields
 from authguard_r.audit.record import NONE, Record, Sealed
 from authguard_r.core.action import Action
 from authguard_r.core.errors import StoreError
-from authguard_r.core.fields import violated_fields
 from authguard_r.core.finding import Finding
 from authguard_r.core.reasons import Reason, may_pass_later
 from authguard_r.report import NOT_EVALUATED

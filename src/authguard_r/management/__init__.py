@@ -34,6 +34,7 @@ from authguard_r.management.configurations import (
 from authguard_r.management.orders import carry_out, choose
 from authguard_r.management.parts import Parts, attempt
 from authguard_r.management.policy import hold_policy
+from authguard_r.management.preapproval import preapprove
 from authguard_r.management.recovery import mark_started, mark_stopped, recover
 from authguard_r.management.repetition import admit, withdraw
 from authguard_r.management.rollback import AcceptedStore, accept_store
@@ -169,12 +170,14 @@ class Management:
         return self._ledger.run(shred_on, essential=True)
 
     def select(self, token: bytes) -> Standing:
-        """Take in a signed choice of one row.
+        """Take in a signed choice of one row, or a signed pre-approval of some.
 
         Raises:
-            AuthGuardError: malformed, not authentic, or not the chooser's to make.
+            AuthGuardError: malformed, not authentic, or not the signer's to make.
         """
-        return self._do(lambda act: choose(act, token, parts=self._parts))
+        is_consent = read_token(token).kind is Tag.PREAPPROVAL
+        taken = preapprove if is_consent else choose
+        return self._do(lambda act: taken(act, token, parts=self._parts))
 
     def approve(self, token: bytes, *, why: str = "") -> VerifiedApproval:
         """Keep a signed answer to an approval request, and close the request by a denial.

@@ -12,10 +12,9 @@ from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import deny_request
-from authguard_r.intake import is_asked
 from authguard_r.ledger import Act, Ledger, read_held
 from authguard_r.management.parts import Parts, entry, refuse
-from authguard_r.questions import find_asked, why_not
+from authguard_r.questions import find_asked, is_asked, why_not
 from authguard_r.report import refusal_entry
 
 #: Where the store holds who has answered a request that is over, under mission and counter.

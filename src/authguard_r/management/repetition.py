@@ -18,7 +18,7 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
 from authguard_r.core.token import open_token
-from authguard_r.intake import ISSUER_ROLES, claimed_template
+from authguard_r.intake import ISSUER_ROLES
 from authguard_r.ledger import Act, read_held
 from authguard_r.management.parts import (
     Parts,
@@ -34,6 +34,7 @@ from authguard_r.templates import (
     Template,
     TemplateStanding,
     claimed,
+    claimed_template,
     combinations,
     filled,
     is_pair,

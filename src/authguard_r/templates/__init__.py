@@ -9,7 +9,13 @@ does not cover. Spec page: docs/spec/template.md
 from __future__ import annotations
 
 from authguard_r.templates.expansion import combinations, expand, filled
-from authguard_r.templates.held import HeldMission, claimed, claimed_mission, held_mission
+from authguard_r.templates.held import (
+    HeldMission,
+    claimed,
+    claimed_mission,
+    claimed_template,
+    held_mission,
+)
 from authguard_r.templates.instance import (
     SCHEDULER_ROLES,
     Delegations,
@@ -39,6 +45,7 @@ __all__ = [
     "VerifiedTemplate",
     "claimed",
     "claimed_mission",
+    "claimed_template",
     "combinations",
     "covered",
     "expand",

@@ -56,6 +56,15 @@ def claimed(token: bytes, kind: type[T], *, tag: Tag) -> T:
     return decode(payload, kind, where=str(tag).split("/")[1])
 
 
+def claimed_template(token: bytes) -> Digest:
+    """Return the digest of the template that an instance token names; nothing is verified.
+
+    Raises:
+        MalformedError: not an instance token.
+    """
+    return claimed(token, Instance, tag=Tag.INSTANCE).template
+
+
 def claimed_mission(token: bytes, template: bytes | None = None) -> Mission:
     """Return the mission that a token is, or that it makes of a template; nothing is verified.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from msgspec import Struct
 
-from authguard_r.core.fields import ProtectedField
+from authguard_r.core.mission import ProtectedField
 from missionpair.pair import Pair
 from missionpair.registry import SpecificationError
 from missionpair.score import DEFAULT, Weights

@@ -9,24 +9,26 @@ from __future__ import annotations
 from msgspec import Struct
 
 from authguard_r.core.action import scope_of
-from authguard_r.core.approval import Verdict, VerifiedApproval
+from authguard_r.core.approval import Verdict, VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.people import people_behind
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.mission import Grant, RiskPolicy
+from authguard_r.core.mission import Grant, RiskPolicy, Row
 from authguard_r.core.reasons import Reason
-from authguard_r.core.risk import required, rho, tier_of
+from authguard_r.core.risk import Tier, required, rho, tier_of
 from authguard_r.core.standing import ApprovalRequest
+from authguard_r.core.token import Principal
 
 
 class Need(Struct, frozen=True, kw_only=True):
-    """How many principals are needed, and what their approvals must be bound to, if any."""
+    """How many principals are needed, on which line of `eq:threshold`, and what binds approvals."""
 
     risk: int
     required: int
+    tier: int
     scope: Digest | None = None
     situation: Digest | None = None
 
@@ -42,13 +44,14 @@ def assess_need(case: Case, grant: Grant) -> Need:
     """Return Req(a, s), and what approvals must carry when there must be any; computed afresh."""
     count, tier, score = max([_strictness(case, policy) for policy in _policies(case)])
     if count <= 1:
-        return Need(risk=score, required=count)
+        return Need(risk=score, required=count, tier=tier)
     guards = (*case.verified.mission.guards, *grant.guards)
     rid = case.facts.robot.rid
     truth = tuple(guard_finding(g, case.state, rid, case.now) is None for g in guards)
     return Need(
         risk=score,
         required=count,
+        tier=tier,
         scope=digest_of(Tag.SCOPE, scope_of(case.action)),
         situation=digest_of(Tag.SITUATION, Situation(guards=truth, tier=tier)),
     )
@@ -84,6 +87,41 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
     return (_finding(Reason.APPROVAL_REQUIRED, need.required, f"{behind} of them"),)
 
 
+def find_preapproval(case: Case, grant: Grant, row: Row, need: Need) -> VerifiedPreApproval | None:
+    """Return a pre-approval that stands in for the approvals that step 7 asks; None: there is none.
+
+    The caller has asked step 7: nobody denied this very action.
+    """
+    if need.tier != Tier.ELEVATED:
+        return None
+    return next((p for p in case.preapprovals if _covers(p, case, grant, row, need)), None)
+
+
+def _covers(item: VerifiedPreApproval, case: Case, grant: Grant, row: Row, need: Need) -> bool:
+    """True when the consent is to this grant, row and risk of this mission, and is not used up."""
+    said, mission = item.preapproval, case.verified.mission
+    bound = (
+        (said.mid, said.grant, said.rid) == (mission.mid, grant.id, case.facts.robot.rid)
+        and (said.version, said.mission) == (mission.version, case.verified.digest)
+        and grant.alternatives.index(row) in said.rows
+        and need.risk <= said.most_risk
+    )
+    used = case.standing.preapproved.get(item.digest, 0) if case.standing is not None else 0
+    in_time = case.now.utc_ms <= min(said.expires_ms, item.approver.usable_until_ms)
+    behind = people_behind(case.verified.issuer, [item.approver])
+    enough = used < said.uses and behind >= need.required
+    return bound and in_time and enough and _may_answer(item.approver, case)
+
+
+def _may_answer(approver: Principal, case: Case) -> bool:
+    """True when every policy names the role, and the certificate covers robot and places."""
+    return (
+        all(approver.role in policy.roles for policy in _policies(case))
+        and approver.id != case.verified.mission.issuer
+        and approver.scope.covers(case.facts.robot.rid, case.action.places)
+    )
+
+
 def _ask(case: Case, need: Need) -> Findings:
     """Ask, unless people were asked as often as the mission allows (L6)."""
     place, most = "budgets.prompts", case.verified.mission.budgets.prompts
@@ -105,12 +143,7 @@ def _fits(item: VerifiedApproval, case: Case, grant: Grant, request: ApprovalReq
     )
     until = min(request.expires_ms, approval.expires_ms, item.approver.usable_until_ms)
     in_time = case.now.utc_ms <= until
-    eligible = (
-        all(item.approver.role in policy.roles for policy in _policies(case))
-        and item.approver.id != mission.issuer
-        and item.approver.scope.covers(approval.rid, case.action.places)
-    )
-    return bound and in_time and eligible
+    return bound and in_time and _may_answer(item.approver, case)
 
 
 def _finding(reason: Reason, count: int, got: str) -> Finding:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from authguard_r.core.action import Action
-from authguard_r.core.approval import VerifiedApproval
+from authguard_r.core.approval import VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.facts import ActionKind, SiteFacts
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
@@ -26,6 +26,7 @@ class Case(Struct, frozen=True, kw_only=True):
         now: the instant of the decision.
         standing: the registry's entry, None when there is none.
         approvals: authentic answers of principals; whether they fit is decided here.
+        preapprovals: the same, of what principals consented to before anybody asked.
     """
 
     verified: VerifiedMission
@@ -36,3 +37,4 @@ class Case(Struct, frozen=True, kw_only=True):
     now: Now
     standing: Standing | None
     approvals: tuple[VerifiedApproval, ...]
+    preapprovals: tuple[VerifiedPreApproval, ...] = ()

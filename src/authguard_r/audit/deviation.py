@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The protected fields of a mission, and how far findings deviate from it.
+"""How far an action deviates from its mission: measured and logged, authorizes nothing.
 
 A field j is violated (d_j = 1) when a finding has one of its reason codes.
 Source: `eq:action-deviation`. Spec page: docs/spec/reason-codes.md#protected-fields
@@ -8,31 +8,10 @@ Source: `eq:action-deviation`. Spec page: docs/spec/reason-codes.md#protected-fi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
 from fractions import Fraction
 
+from authguard_r.core.mission import ProtectedField, RiskPolicy
 from authguard_r.core.reasons import Reason
-
-
-class ProtectedField(StrEnum):
-    """The fields j that D_M weighs, in the order of `eq:auth-predicate`."""
-
-    MISSION = "mission"
-    TIME = "time"
-    ROBOT = "robot"
-    TYPE = "type"
-    TOOL = "tool"
-    OBJECT = "object"
-    SOURCE = "source"
-    DESTINATION = "destination"
-    ROUTE = "route"
-    PARAMETERS = "parameters"
-    ORDER = "order"
-    USE = "use"
-    STATE = "state"
-    PROVENANCE = "provenance"
-    APPROVAL = "approval"
-
 
 #: Where each run of reason codes begins, in the order of `Reason`; None: no field of a mission.
 _FIRST_OF_FIELD: dict[Reason, ProtectedField | None] = {
@@ -98,3 +77,8 @@ def deviation(reasons: Iterable[Reason], weights: Weights) -> Fraction:
     """
     total = sum(weights.get(field, 1) for field in ProtectedField)
     return Fraction(sum(weights.get(field, 1) for field in violated_fields(reasons)), total)
+
+
+def weights_of(mission: RiskPolicy, organization: tuple[RiskPolicy, ...]) -> Weights:
+    """Return the signed w_j of D_M: the mission's, or else the organization's."""
+    return next((p.field_weights for p in (mission, *organization) if p.field_weights), {})

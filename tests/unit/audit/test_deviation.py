@@ -9,7 +9,8 @@ from random import Random
 import pytest
 
 import authguard_reference as oracle
-from authguard_r.core.fields import FIELD_OF, ProtectedField, deviation, violated_fields
+from authguard_r.audit.deviation import FIELD_OF, deviation, violated_fields
+from authguard_r.core.mission import ProtectedField
 from authguard_r.core.reasons import DECIDED, ORDER, Reason
 from authguard_reference.reasons import FIELD_OF as ORACLE_FIELD_OF
 from authguard_reference.reasons import FIELDS as ORACLE_FIELDS
