@@ -2,6 +2,7 @@
 """What a planner is shown, what it answers, and who it is.
 
 A planner sees the task, its tools and texts: never the mission, its schema or a reason code.
+Spec page: docs/spec/missionpair.md#planner-view
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from missionpair.stage import Stage
 
 #: Who a plan that no defense stopped was `by`: it went through, or came to nothing by itself.
 NO_DEFENSE = frozenset({"", "normalizer", "world"})
-#: What a planner is told of its plan; the product tells no more without being asked to.
+#: What a planner is told of its plan. A real gate can tell more: codes and fields (`disclosure`).
 EXECUTED, REFUSED = "executed", "rejected"
 
 
