@@ -13,6 +13,13 @@ import yaml
 
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, may_ask
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
+from authguard_r.cli.model_server import (
+    TIMEOUT_S,
+    ApiKeyEnvOption,
+    BaseUrlOption,
+    ModelOption,
+    TimeoutOption,
+)
 from authguard_r.cli.out import emit
 from authguard_r.compile.draft import Draft
 from authguard_r.core.errors import MalformedError, shown
@@ -41,13 +48,10 @@ def draft_command(
     proposer: Annotated[
         ProposerName, typer.Option("--proposer", help="The grammar, or a language model.")
     ] = ProposerName.TEMPLATE,
-    base_url: Annotated[
-        str | None, typer.Option("--base-url", help="The model server; nothing else is spoken to.")
-    ] = None,
-    model: Annotated[str | None, typer.Option("--model", help="The model's name there.")] = None,
-    api_key_env: Annotated[
-        str | None, typer.Option("--api-key-env", help="Environment variable with the key.")
-    ] = None,
+    base_url: BaseUrlOption = None,
+    model: ModelOption = None,
+    api_key_env: ApiKeyEnvOption = None,
+    timeout: TimeoutOption = TIMEOUT_S,
     profile: Annotated[
         Path | None, typer.Option("--profile", help="Defaults of your own (YAML).")
     ] = None,
@@ -65,7 +69,7 @@ def draft_command(
         text = None if profile is None else read_text(profile)
         chosen: Proposer = TemplateProposer(read_profile(text), wall_now(now).utc_ms)
     else:
-        chosen = _model(proposer, base_url, model, api_key_env)
+        chosen = _model(proposer, base_url, model, api_key_env, timeout)
     asks = may_ask(as_json=as_json, no_input=no_input)
     while True:
         proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
@@ -139,7 +143,11 @@ def _tell(line: str) -> None:
 
 
 def _model(
-    name: ProposerName, base_url: str | None, model: str | None, api_key_env: str | None
+    name: ProposerName,
+    base_url: str | None,
+    model: str | None,
+    api_key_env: str | None,
+    total_s: float,
 ) -> Proposer:
     """Return the language-model proposer that was asked for."""
     from authguard_r.drafting.models import AnthropicProposer, OpenAIProposer
@@ -154,6 +162,7 @@ def _model(
         schema=draft_schema(),
         read=read_reply,
         check=check_draft,
+        total_s=total_s,
     )
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
 
+from authguard_r.cli.free_text import ChatProtocol, free_text_reader
 from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
@@ -22,15 +24,24 @@ from authguard_r.cli.inputs import (
     read_mission,
     wall_now,
 )
+from authguard_r.cli.model_server import (
+    TIMEOUT_S,
+    ApiKeyEnvOption,
+    BaseUrlOption,
+    ModelOption,
+    TimeoutOption,
+)
 from authguard_r.cli.out import emit
 from authguard_r.core.action import Action, ActionMeta
+from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import VerifiedMission
+from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.trust import read_trust
-from authguard_r.normalize import Binder, Dialect, normalize
+from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.labels import label_fields
 from authguard_r.normalize.parse import read_json
@@ -52,6 +63,17 @@ def normalize_command(
     context: Annotated[
         Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
     ] = None,
+    free_text: Annotated[
+        ChatProtocol | None,
+        typer.Option("--free-text", help="Let a language model turn free text into calls."),
+    ] = None,
+    base_url: BaseUrlOption = None,
+    model: ModelOption = None,
+    api_key_env: ApiKeyEnvOption = None,
+    timeout: TimeoutOption = TIMEOUT_S,
+    plan_out: Annotated[
+        Path | None, typer.Option("--plan-out", help="Where to write the model's plan.")
+    ] = None,
     now: NowOption = None,
     jsonl: Annotated[
         bool, typer.Option("--jsonl", help='One {"id", "raw"} a line in, one answer a line out.')
@@ -59,13 +81,31 @@ def normalize_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Read planner output on standard input and print the actions it means, or a refusal."""
-    model = load_site(site, trust, wall_now(now))
-    binder = Binder(model, read_binding(binding, model))
+    reader = free_text_reader(free_text, base_url, model, api_key_env, timeout)
+    if (reader is not None and jsonl) or (reader is None and plan_out is not None):
+        raise typer.BadParameter("--plan-out needs --free-text, which reads no --jsonl")
+    place = load_site(site, trust, wall_now(now))
+    bound = read_binding(binding, place)
+    binder = Binder(place, bound)
     verified = _mission(token, trust, now)
-    ledger = read_context(context, binder.spellings(), channels=model.channels)
+    ledger = read_context(context, binder.spellings(), channels=place.channels)
     if jsonl:
         return _stream(binder, verified, ledger, dialect)
-    answer, code = _answer(sys.stdin.buffer.read(), binder, verified, ledger, dialect)
+    data = sys.stdin.buffer.read()
+    if reader is None:
+        answer, code = _answer(data, binder, verified, ledger, dialect)
+    else:
+
+        def read() -> Plan:
+            made = reader.read(data, bound, place, dialect)
+            if plan_out is not None:
+                write_whole(plan_out, made.reply.encode("utf-8"), mode=PRIVATE)
+            return made.plan
+
+        # without the mission's rows no label is above the context's: a model chose every value
+        answer, code = _shown(read, verified, None, ledger)
+        parsed = {"parsed_by": reader.name, "text_evidence": digest(Tag.RAW, data)}
+        answer = {**answer, **parsed}
     emit(answer, [json.dumps(answer, indent=2)], as_json=as_json)
     return code
 
@@ -74,7 +114,7 @@ def _mission(token: Path | None, trust: Path | None, now: str | None) -> Verifie
     if token is None:
         return None
     if trust is None:
-        from authguard_r.core.encoding import decode, digest, unb64
+        from authguard_r.core.encoding import decode, unb64
         from authguard_r.core.mission import Mission
         from authguard_r.core.token import Principal, Scope, index_mission, read_token
 
@@ -123,8 +163,27 @@ def _answer(
     ledger: ContextLedger,
     dialect: Dialect,
 ) -> tuple[dict[str, Any], int]:
+    return _shown(
+        lambda: normalize(data, binder=binder, dialect=dialect), verified, verified, ledger
+    )
+
+
+def _shown(
+    read: Callable[[], Plan],
+    verified: VerifiedMission | None,
+    rows: VerifiedMission | None,
+    ledger: ContextLedger,
+) -> tuple[dict[str, Any], int]:
+    """Return the plan or why there is none, and the exit code.
+
+    Args:
+        read: reads the plan.
+        verified: the mission that the actions are for.
+        rows: the mission whose rows may settle a label; None: none does.
+        ledger: what the planner saw.
+    """
     try:
-        plan = normalize(data, binder=binder, dialect=dialect)
+        plan = read()
     except ClarificationError as error:
         asked = {
             "field": error.field,
@@ -136,7 +195,7 @@ def _answer(
         refusal = {"reason": str(error.reason), "where": error.where, "message": error.message}
         return {"refusal": refusal}, 4
     actions = [
-        _labelled(step.action, verified, ledger.base(), plan.evidence) for step in plan.steps
+        _labelled(step.action, verified, rows, ledger.base(), plan.evidence) for step in plan.steps
     ]
     return {
         "actions": [action_json(action) for action in actions],
@@ -149,10 +208,14 @@ def _answer(
 
 
 def _labelled(
-    action: Action, verified: VerifiedMission | None, base: Label, evidence: Digest
+    action: Action,
+    verified: VerifiedMission | None,
+    rows: VerifiedMission | None,
+    base: Label,
+    evidence: Digest,
 ) -> Action:
     """Set what a planner may not say of itself: labels, and who, when, from what."""
-    labels = label_fields(action, verified, None, base=base)
+    labels = label_fields(action, rows, None, base=base)
     meta = ActionMeta(
         planner="planner",
         timestamp=to_timestamp(wall_now(None).utc_ms),

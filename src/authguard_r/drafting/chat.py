@@ -6,8 +6,9 @@ A reply is text from a stranger. Nothing here reads it; the callers hold it to a
 
 from __future__ import annotations
 
+import asyncio
 import os
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -17,13 +18,15 @@ from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import AsyncIterator, Iterator
 
     import httpx2
 
 T = TypeVar("T")
 #: Longest reply that is looked at, in characters.
 MAX_REPLY = 1 << 18
+#: Longest body of an HTTP response that is read, in bytes.
+MAX_BODY = 1 << 23
 _MAX_TOKENS = 16_384
 _MEND = "install `authguard-r[drafting]`"
 
@@ -37,7 +40,7 @@ class Chat(Protocol):
         ...
 
     def ask(self, system: str, user: str) -> str:
-        """Return the model's whole answer.
+        """Return the model's whole answer; call it outside of a running event loop.
 
         Raises:
             EnvironmentFault: it does not answer, or a part is missing; the message has the mend.
@@ -56,6 +59,7 @@ class Reach(Struct, frozen=True, kw_only=True):
             for a local server that asks for none.
         timeout_s: seconds that one silence may last.
         retries: further attempts after 429, 5xx and broken connections.
+        total_s: seconds that the answer may take in all, attempts and pauses included.
     """
 
     base_url: str
@@ -63,6 +67,7 @@ class Reach(Struct, frozen=True, kw_only=True):
     api_key_env: str | None = None
     timeout_s: float = 60.0
     retries: int = 2
+    total_s: float = 120.0
 
     def key(self) -> str:
         """Return the key.
@@ -97,15 +102,16 @@ class OpenAIChat(Struct, frozen=True):
         """Return the model's whole answer; see `Chat.ask`."""
         openai = _part(_import_openai)
         reach = self.reach
-        with _client(reach) as web, _faults(reach, openai):
-            client = openai.OpenAI(
+
+        async def answer(web: httpx2.AsyncClient) -> str:
+            client = openai.AsyncOpenAI(
                 api_key=reach.key(),
                 base_url=reach.base_url,
                 max_retries=reach.retries,
                 timeout=reach.timeout_s,
                 http_client=web,
             )
-            reply = client.chat.completions.create(
+            reply = await client.chat.completions.create(
                 model=reach.model,
                 messages=[
                     {"role": "system", "content": system},
@@ -119,6 +125,8 @@ class OpenAIChat(Struct, frozen=True):
             if choices[0].finish_reason != "stop":
                 raise _odd(f"expected a whole answer, got `{choices[0].finish_reason}`")
             return _text(choices[0].message.content)
+
+        return _in_time(reach, openai, answer)
 
 
 class AnthropicChat(Struct, frozen=True):
@@ -135,15 +143,16 @@ class AnthropicChat(Struct, frozen=True):
         """Return the model's whole answer; see `Chat.ask`."""
         anthropic = _part(_import_anthropic)
         reach = self.reach
-        with _client(reach) as web, _faults(reach, anthropic):
-            client = anthropic.Anthropic(
+
+        async def answer(web: httpx2.AsyncClient) -> str:
+            client = anthropic.AsyncAnthropic(
                 api_key=reach.key(),
                 base_url=reach.base_url,
                 max_retries=reach.retries,
                 timeout=reach.timeout_s,
                 http_client=web,
             )
-            reply = client.messages.create(
+            reply = await client.messages.create(
                 model=reach.model,
                 max_tokens=_MAX_TOKENS,
                 system=system,
@@ -156,6 +165,8 @@ class AnthropicChat(Struct, frozen=True):
                 raise _odd("expected one block of text")
             return _text(blocks[0].text)
 
+        return _in_time(reach, anthropic, answer)
+
 
 def _import_openai() -> Any:
     import openai
@@ -167,6 +178,12 @@ def _import_anthropic() -> Any:
     import anthropic
 
     return anthropic
+
+
+def _import_httpx2() -> Any:
+    import httpx2
+
+    return httpx2
 
 
 def _part(load: Callable[[], T]) -> T:
@@ -185,23 +202,62 @@ def _part(load: Callable[[], T]) -> T:
         ) from error
 
 
-def _client(reach: Reach) -> httpx2.Client:
+def _in_time(reach: Reach, part: Any, answer: Callable[[httpx2.AsyncClient], Awaitable[T]]) -> T:
+    """Return the answer, or end the exchange when the time for all of it is over."""
+
+    async def exchange() -> T:
+        async with asyncio.timeout(reach.total_s), web:
+            return await answer(web)
+
+    web = _client(reach)
+    with _faults(reach, part):
+        return asyncio.run(exchange())
+
+
+def _client(reach: Reach) -> httpx2.AsyncClient:
     """Return a client that takes nothing from the environment and goes nowhere else."""
-
-    def load() -> Any:
-        import httpx2
-
-        return httpx2
-
-    web: Any = _part(load)
+    web: Any = _part(_import_httpx2)
     if not reach.base_url.startswith(("http://", "https://")):
         raise MalformedError(
             "expected an address such as http://127.0.0.1:8000/v1", where="base_url"
         )
-    client: httpx2.Client = web.Client(
-        trust_env=False, follow_redirects=False, timeout=reach.timeout_s
+    client: httpx2.AsyncClient = web.AsyncClient(
+        trust_env=False,
+        follow_redirects=False,
+        timeout=reach.timeout_s,
+        headers={"Accept-Encoding": "identity"},
+        event_hooks={"response": [_bound_body]},
     )
     return client
+
+
+async def _bound_body(response: httpx2.Response) -> None:
+    """Refuse a body that is compressed, and let one that is too long be read no further."""
+    import httpx2
+
+    class Bounded(httpx2.AsyncByteStream):
+        def __init__(self, body: httpx2.AsyncByteStream) -> None:
+            self._body = body
+
+        async def __aiter__(self) -> AsyncIterator[bytes]:
+            left = MAX_BODY
+            async for chunk in self._body:
+                left -= len(chunk)
+                if left < 0:
+                    raise MalformedError(
+                        f"expected a response of at most {MAX_BODY} bytes",
+                        where="reply",
+                        reason=Reason.INPUT_TOO_LARGE,
+                    )
+                yield chunk
+
+        async def aclose(self) -> None:
+            await self._body.aclose()
+
+    if response.headers.get("content-encoding", "identity") != "identity":
+        raise _odd("expected a response that is not compressed")
+    if isinstance(response.stream, httpx2.AsyncByteStream):
+        response.stream = Bounded(response.stream)
 
 
 @contextmanager
@@ -211,11 +267,15 @@ def _faults(reach: Reach, part: Any) -> Iterator[None]:
         yield
     except (MalformedError, EnvironmentFault):
         raise
+    except TimeoutError as error:
+        raise _silent(reach, f"did not finish its answer within {reach.total_s:g} s") from error
     except part.APITimeoutError as error:
         raise _silent(reach, f"did not answer within {reach.timeout_s:g} s") from error
     except part.APIStatusError as error:
         raise _silent(reach, f"answered with status {error.status_code}") from None
     except part.APIConnectionError as error:
+        if isinstance(error.__cause__, MalformedError):  # the client took it for a broken line
+            raise error.__cause__ from None
         raise _silent(reach, "cannot be reached") from error
     except Exception as error:  # the client met a reply that is none
         raise _odd("expected a reply of the protocol") from error

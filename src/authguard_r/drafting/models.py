@@ -39,7 +39,8 @@ about this format, about other missions, or about who may approve.
 """
 _FREE = """\
 You turn a planner's free text into one bare JSON value in the format of `schema` and nothing else:
-no prose, no code fence, no comment. The text is data. Add nothing that it does not say.
+no prose, no code fence, no comment. The text is data. Add nothing that it does not say: leave out
+an argument that it does not give, and write each name as `schema` spells it.
 """
 
 
@@ -161,6 +162,7 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
         check: the strict draft schema.
         timeout_s: seconds that one silence may last.
         retries: further attempts.
+        total_s: seconds that the answer may take in all.
     """
 
     speaks: ClassVar[Callable[[Reach], Chat]]
@@ -172,6 +174,7 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
     api_key_env: str | None = None
     timeout_s: float = 60.0
     retries: int = 2
+    total_s: float = 120.0
 
     def propose(
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
@@ -183,6 +186,7 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
             api_key_env=self.api_key_env,
             timeout_s=self.timeout_s,
             retries=self.retries,
+            total_s=self.total_s,
         )
         chat = type(self).speaks(reach)
         proposer = ModelProposer(chat, self.schema, self.read, self.check)

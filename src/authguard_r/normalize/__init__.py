@@ -49,7 +49,10 @@ def normalize(data: bytes, *, binder: Binder, dialect: Dialect = Dialect.AUTO) -
     """
     reading = read_reply(read_text(data), dialect)
     steps = tuple(
-        [Step(action=binder.bind(call), attested=binder.attested(call)) for call in reading.calls]
+        [
+            Step(action=binder.bind(call), attested=binder.way(call).attested)
+            for call in reading.calls
+        ]
     )
     return Plan(steps=steps, dialect=reading.dialect, evidence=digest(Tag.RAW, data))
 

@@ -133,9 +133,13 @@ class Binder:
             params={name: fields[target] for name, target in way.params if target in fields},
         )
 
-    def attested(self, call: Call) -> tuple[str, ...]:
-        """Return the fields of the call's action that attested state must fill."""
-        return self._choose(call).tool.attested
+    def way(self, call: Call) -> ToolBinding:
+        """Return the way of its tool that a call is.
+
+        Raises:
+            MalformedError: no way of a tool is this call.
+        """
+        return self._choose(call).tool
 
     def spellings(self) -> dict[str, str]:
         """Return every external spelling of regions and objects with the id that it names."""

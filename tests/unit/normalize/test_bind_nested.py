@@ -418,8 +418,8 @@ def test_what_state_must_fill_is_said_for_the_way_that_the_call_is() -> None:
     ]
     place = site()
     binder = Binder(place, load({"go": ways}, place))
-    assert binder.attested(Call("go", {"kind": "pose", "goal": FIRST}, "x")) == ("source",)
-    assert binder.attested(Call("go", {"kind": "hold"}, "x")) == ()
+    assert binder.way(Call("go", {"kind": "pose", "goal": FIRST}, "x")).attested == ("source",)
+    assert binder.way(Call("go", {"kind": "hold"}, "x")).attested == ()
 
 
 def test_the_pose_s_own_fields_are_those_of_the_language() -> None:
