@@ -15,7 +15,8 @@ from typing import Any
 import msgspec
 
 from authguard_r.audit.deviation import weights_of
-from authguard_r.core.action import Action, ActionMeta
+from authguard_r.completion import cause_of, complete, meta_of, record_of_decision, repaired_step
+from authguard_r.core.action import Action
 from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
 from authguard_r.core.decision import Verdict
@@ -27,7 +28,7 @@ from authguard_r.core.lease import permit
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import Clock, SafetyGate
 from authguard_r.core.provenance import Label
-from authguard_r.core.quantities import Now, to_timestamp
+from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, advance, ask, close_request, reserve
 from authguard_r.core.state import AttestedState
@@ -37,13 +38,11 @@ from authguard_r.ledger import Act, Ledger
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger, Influence
 from authguard_r.normalize.labels import label_fields
-from authguard_r.questions import counted, record_decision
+from authguard_r.questions import record_decision
 from authguard_r.report import (
     Judged,
     Refusal,
     Report,
-    cause_of,
-    decision_entry,
     fault_finding,
     open_question,
     refused_proposal,
@@ -97,13 +96,21 @@ class Enforcer:
         self._first = act
 
     def propose(
-        self, step: Step, *, planner: Identifier, evidence: Digest, context: ContextLedger
+        self,
+        step: Step,
+        *,
+        planner: Identifier,
+        evidence: Digest,
+        context: ContextLedger,
+        repair: bool = False,
     ) -> Report:
         """Decide one step and, if both gates accept, carry it out to its outcome.
 
         Args: as in `submit`.
         """
-        begun = self.submit(step, planner=planner, evidence=evidence, context=context)
+        begun = self.submit(
+            step, planner=planner, evidence=evidence, context=context, repair=repair
+        )
         if isinstance(begun, Report):
             return begun
         while True:
@@ -121,6 +128,7 @@ class Enforcer:
         context: ContextLedger,
         keep: Keep = keep_nothing,
         inputs: Mapping[str, Any] | None = None,
+        repair: bool = False,
     ) -> Report | Running:
         """Decide one step and, if both gates accept, begin it; whoever asked watches it.
 
@@ -131,6 +139,8 @@ class Enforcer:
             context: what the planner could have seen.
             keep: holds something beside what the decision and the outcome change.
             inputs: what to seal beside a refusal that has no decision.
+            repair: when the safety gate alone refuses the step and offers a repair, decide the
+                repair too, once and in the same turn. Its report has the refused one in `repairs`.
 
         Returns:
             The final report, or the action while it runs: somebody has to `poll` it then.
@@ -138,15 +148,13 @@ class Enforcer:
         base, influences = context.base(), context.influences(step.action)
 
         def job(act: Act) -> Report:
-            judged = self._judge(act, step, planner=planner, evidence=evidence, base=base)
-            entry = decision_entry(judged, influences, counted(judged, self._facts))
-            report = Report(judged=judged, influences=influences)
-            if not self._commit(act, judged):
-                seq = act.refuse(entry, fold=(planner, *cause_of(judged)))
-                return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
-            number = record_decision(act, judged, entry)
-            keep(act, report, number)
-            return msgspec.structs.replace(report, seq=number)
+            judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
+            report = Report(judged=judge(step), influences=influences)
+            again = repaired_step(step, require_judged(report)) if repair else None
+            if again is not None:
+                found = context.influences(again.action)
+                report = Report(judged=judge(again), influences=found, repairs=report)
+            return self._record(act, report, planner, keep)
 
         try:
             self._require_suspended()
@@ -218,14 +226,8 @@ class Enforcer:
         standing = act.standing(verified.mission.mid)
         state = self.intake.state
         now = act.now
-        meta = ActionMeta(
-            planner=planner,
-            timestamp=to_timestamp(now.utc_ms),
-            evidence=evidence,
-            mission=verified.mission.mid,
-            mission_version=verified.mission.version,
-        )
-        action = _complete(step, meta, verified, standing, state=state, base=base)
+        meta = meta_of(verified, planner=planner, evidence=evidence, now=now)
+        action = complete(step, meta, verified, standing, state=state, base=base)
         answered = self.intake.answers(act, standing)
         decision = decide(
             verified,
@@ -287,6 +289,24 @@ class Enforcer:
         act.hold(standing)
         return True
 
+    def _record(self, act: Act, report: Report, planner: Identifier, keep: Keep) -> Report:
+        """(8) Make a decision's changes and append its record, behind what it repairs."""
+        judged, refused = require_judged(report), report.repairs
+        changes = self._commit(act, judged)
+        if refused is not None:  # it is recorded at once when its repair changes something
+            report = msgspec.structs.replace(report, repairs=self._refuse(act, refused, planner))
+        if not changes:
+            return self._refuse(act, report, planner)
+        number = record_decision(act, judged, record_of_decision(report, self._facts))
+        keep(act, report, number)
+        return msgspec.structs.replace(report, seq=number)
+
+    def _refuse(self, act: Act, report: Report, planner: Identifier) -> Report:
+        """Record a decision that changes nothing, now or later."""
+        fold = (planner, *cause_of(report))
+        seq = act.refuse(record_of_decision(report, self._facts), fold=fold)
+        return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
+
     def _begin(self, report: Report, keep: Keep) -> Report | Running:
         """Dispatch what was committed, unless its lease does not hold any more."""
         judged = require_judged(report)
@@ -344,30 +364,6 @@ class Enforcer:
             inputs: what to seal beside it: the plan itself, where a shadow run keeps it.
         """
         return self._refused(error, planner, (), inputs)
-
-
-def attested_source(step: Step, state: AttestedState | None) -> Action:
-    """Return the step's action with the source that attested state settles, if it does."""
-    if "source" not in step.attested or state is None or len(state.place) != 1:
-        return step.action
-    return msgspec.structs.replace(step.action, source=next(iter(state.place)))
-
-
-def _complete(
-    step: Step,
-    meta: ActionMeta,
-    verified: VerifiedMission,
-    standing: Standing | None,
-    *,
-    state: AttestedState | None,
-    base: Label,
-) -> Action:
-    """Fill what attested state settles, label every privileged field, and say whose it is."""
-    action = attested_source(step, state)
-    labels = label_fields(action, verified, standing, base=base)
-    if "source" in step.attested and action.source is not None:
-        labels["source"] = Label.TRUSTED_SENSOR
-    return msgspec.structs.replace(action, provenance=labels, meta=meta)
 
 
 def evaluate(

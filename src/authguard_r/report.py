@@ -109,6 +109,7 @@ class Report(Struct, frozen=True, kw_only=True):
         outcome_recorded: False of a refusal that is at most counted, for want of room; and
             when the store failed after the robot had moved; the release
             then stays open until it is resolved.
+        repairs: the refused report whose repair was decided here; None of a planner's own step.
     """
 
     judged: Judged | None
@@ -118,6 +119,7 @@ class Report(Struct, frozen=True, kw_only=True):
     influences: tuple[Influence, ...] = ()
     seq: int | None = None
     outcome_recorded: bool = True
+    repairs: Report | None = None
 
 
 def open_question(
@@ -159,14 +161,12 @@ def open_question(
     )
 
 
-def cause_of(judged: Judged) -> tuple[str, str]:
-    """Return reason and field of the first finding: what repeats of a refusal have in common."""
-    finding = next(iter(judged.decision.findings), None)
-    return ("SAFETY", "") if finding is None else (finding.reason, finding.field)
-
-
 def decision_entry(
-    judged: Judged, influences: tuple[Influence, ...], counted: list[dict[str, Any]] | None = None
+    judged: Judged,
+    influences: tuple[Influence, ...],
+    counted: list[dict[str, Any]] | None = None,
+    *,
+    repairs: Report | None = None,
 ) -> Entry:
     """Return the record of one decision (e_i of `eq:log` and every input of a replay).
 
@@ -174,6 +174,8 @@ def decision_entry(
         judged: the decision.
         influences: inputs that mentioned what the action carries.
         counted: who stands behind it (`questions.counted`), when people were asked.
+        repairs: the refused report whose repair this is; named by its number (-1 while it has
+            none) and the digest of its action.
     """
     decision, mission = judged.decision, judged.verified.mission
     share = judged.deviation
@@ -200,6 +202,7 @@ def decision_entry(
             **({} if judged.request is None else {"asks": judged.request.counter}),
             **({"approvers": counted} if counted else {}),
             **({"preapproved": decision.preapproved} if decision.preapproved else {}),
+            **({} if repairs is None else _repaired(repairs)),
         },
         sealed={
             "action": judged.action,
@@ -211,6 +214,11 @@ def decision_entry(
             "state": [] if state is None else [_arrived(state)],
         },
     )
+
+
+def _repaired(refused: Report) -> dict[str, Any]:
+    digested = {} if refused.judged is None else {"repairs_action": refused.judged.action_digest}
+    return {"repairs": -1 if refused.seq is None else refused.seq, **digested}
 
 
 def _arrived(state: AttestedState) -> dict[str, object]:

@@ -152,11 +152,22 @@ def _brief_json(report: Report) -> dict[str, Any]:
         "recorded": report.outcome_recorded,
     }
     body["seq"] = report.seq
+    if report.repairs is not None:
+        body["repairs"] = report.repairs.seq
     return body
 
 
 #: What a planner is always told.
-_TOLD = ("outcome", "reasons", "retryable", "required_approvals", "released", "executed", "seq")
+_TOLD = (
+    "outcome",
+    "reasons",
+    "retryable",
+    "required_approvals",
+    "released",
+    "executed",
+    "seq",
+    "repairs",
+)
 
 
 class Disclosure(StrEnum):

@@ -60,6 +60,10 @@ WeightOption = Annotated[
     list[str] | None,
     typer.Option("--weight", help="Of D_M: FIELD=N, others weigh 1; may be repeated."),
 ]
+RepairOption = Annotated[
+    bool,
+    typer.Option("--repair", help="Decide the safety gate's repair of a refused step, once."),
+]
 NowOption = Annotated[
     str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
 ]

@@ -91,6 +91,7 @@ def decision_lines(judged: Judged) -> list[str]:
             ("object", action.object),
             ("from", action.source),
             ("to", action.destination),
+            ("by", ",".join(action.route) or None),
             *action.params.items(),
         )
         if value is not None
@@ -125,7 +126,8 @@ def report_lines(report: Report) -> list[str]:
         if refusal is None:
             return ["REJECT"]
         return [f"{'REJECT':17} {refusal.reason}: {refusal.message} (at {refusal.where})"]
-    lines = decision_lines(report.judged)
+    lines = [] if report.repairs is None else [*report_lines(report.repairs), "repaired:"]
+    lines += decision_lines(report.judged)
     if report.outcome is not None:
         lines.append(f"  -> {report.outcome}")
     lines += [f"  because {_finding_line(finding)}" for finding in report.reasons]

@@ -11,7 +11,7 @@ Spec page: docs/spec/audit-record.md#replay
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -29,7 +29,7 @@ from authguard_r.audit.record import Record, ends_motion
 from authguard_r.cli.log_claims import as_token, claimed, claimed_mission, is_instance
 from authguard_r.cli.replay_safety import SecondGate
 from authguard_r.cli.replay_standing import Standings
-from authguard_r.cli.replay_words import plain, plain_facts
+from authguard_r.cli.replay_words import GONE, NEEDED, not_there, plain, plain_facts
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest_of, unb64
 from authguard_r.core.errors import AuthGuardError, MalformedError
@@ -54,9 +54,6 @@ UNKNOWN = RevocationList(number=0, next_update_ms=FAR_MS, serials=frozenset())
 _FIRST = 1
 #: Missions, and authorities that only tokens name: one at a time counts, so a few are plenty.
 _MOST_KEPT = 16
-_NEEDED = ("action", "approvals", "now", "standing", "state")
-#: Not sealed for others, and in no box that was destroyed: taken out of the log by themselves.
-_GONE = "sealed values are gone"
 
 
 class Lacking(Struct, frozen=True):
@@ -181,7 +178,7 @@ class Sources:
         return self._standings.note(record, values)
 
     def _inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
-        gone = _not_there(record, values)
+        gone = not_there(record, values)
         if gone:
             return Lacking(gone)  # whether an order explains that, `audit.missing` says
         digest = str(record.open.get("mission"))
@@ -192,7 +189,7 @@ class Sources:
         if kept is None:  # the log is there from its beginning on, and a gate always writes it
             return Forged("no record before it made its mission active")
         try:
-            beside = msgspec.convert({name: values[name] for name in _NEEDED}, _Beside)
+            beside = msgspec.convert({name: values[name] for name in NEEDED}, _Beside)
             _require_linked(record, beside)
             self._require_fence(beside)
             wrong = "".join(map(self._standings.wrong, beside.standing))
@@ -254,7 +251,7 @@ class Sources:
         risk = () if self._facts is None else self._facts.risk
         self._facts = None
         if "site" not in values:
-            self._no_site = f"{_GONE}: site"
+            self._no_site = f"{GONE}: site"
             return
         try:
             site = msgspec.convert(values["site"], Site)
@@ -276,7 +273,7 @@ class Sources:
         if self._facts is None:
             return
         if "token" not in values:
-            why = closed_of(record, values).why("token") or _GONE
+            why = closed_of(record, values).why("token") or GONE
             self._facts, self._no_site = None, f"{why}: the organization's policy"
             return
         if self._trust is None:
@@ -305,7 +302,7 @@ class Sources:
     def _activate(self, record: Record, values: dict[str, Any]) -> None:
         digest = str(record.open.get("mission"))
         if "token" not in values:
-            why = closed_of(record, values).why("token") or _GONE
+            why = closed_of(record, values).why("token") or GONE
             self._note_gone(digest, f"{why}: the mission's token")
             return
         self._note_gone(digest, "its mission does not hold")
@@ -354,10 +351,11 @@ class Sources:
 
     def _answers(self, beside: _Beside, *, is_consent: bool) -> list[dict[str, Any]]:
         """Return what people said when they were asked, or consented to before that."""
-        opened: Callable[..., Any] = open_preapproval if is_consent else open_approval
+        trust: Any = self._trust
+        opened = partial(open_preapproval if is_consent else open_approval, verifier=trust)
         return [
-            plain(opened(self._known(token), verifier=self._trust, now=beside.now))
-            for token in (beside.approvals if self._trust is not None else ())  # else none counted
+            plain(opened(self._known(token), now=beside.now))
+            for token in (beside.approvals if trust is not None else ())  # else none counted
             if (read_token(as_token(token)).kind is Tag.PREAPPROVAL) is is_consent
         ]
 
@@ -377,8 +375,8 @@ class Sources:
         return data
 
     def _has_unknown_lists(self) -> bool:
-        lists = {} if self._trust is None else self._trust.lists
-        return any(found.number == UNKNOWN.number for found in lists.values())
+        lists = () if self._trust is None else self._trust.lists.values()
+        return UNKNOWN.number in {found.number for found in lists}
 
 
 def _as_at_first(trust: Trust) -> Trust:
@@ -392,19 +390,6 @@ def _as_at_first(trust: Trust) -> Trust:
         for der, found in trust.lists.items()
     }
     return Trust(trust.roots, lists)
-
-
-def _not_there(record: Record, values: dict[str, Any]) -> str:
-    """Return what a decision is made of and is not told, and why not; empty when all is there.
-
-    What was destroyed is destroyed for everybody, so it is said before what is only sealed.
-    """
-    left = [name for name in _NEEDED if name not in values]
-    closed = closed_of(record, values)
-    told: dict[str, list[str]] = {"destroyed": [], "sealed": [], _GONE: []}
-    for name in left:
-        told[closed.why(name) or _GONE].append(name)
-    return next((f"{why}: {', '.join(names)}" for why, names in told.items() if names), "")
 
 
 def _at(record: Record) -> Now:

@@ -10,7 +10,27 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.audit.closed import closed_of
+from authguard_r.audit.record import Record
 from authguard_r.core.facts import ActionKind, RegionFacts, SiteFacts
+
+#: Not sealed for others, and in no box that was destroyed: taken out of the log by themselves.
+GONE = "sealed values are gone"
+#: What a decision's record seals of the decision's inputs.
+NEEDED = ("action", "approvals", "now", "standing", "state")
+
+
+def not_there(record: Record, values: dict[str, Any]) -> str:
+    """Return what a decision is made of and is not told, and why not; empty when all is there.
+
+    What was destroyed is destroyed for everybody, so it is said before what is only sealed.
+    """
+    left = [name for name in NEEDED if name not in values]
+    closed = closed_of(record, values)
+    told: dict[str, list[str]] = {"destroyed": [], "sealed": [], GONE: []}
+    for name in left:
+        told[closed.why(name) or GONE].append(name)
+    return next((f"{why}: {', '.join(names)}" for why, names in told.items() if names), "")
 
 
 def plain(value: Any) -> Any:

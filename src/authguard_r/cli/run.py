@@ -21,6 +21,7 @@ from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
     NowOption,
+    RepairOption,
     SiteOption,
     TokenOption,
     TrustOption,
@@ -96,7 +97,13 @@ class Run(Struct, frozen=True, kw_only=True):
 
 
 def run_plan(
-    simulation: Simulation, plan: bytes, *, dialect: Dialect, context: ContextLedger, ask: bool
+    simulation: Simulation,
+    plan: bytes,
+    *,
+    dialect: Dialect,
+    context: ContextLedger,
+    ask: bool,
+    repair: bool = False,
 ) -> Run:
     """Read a plan whole, then decide and carry out each step when its turn comes.
 
@@ -106,29 +113,25 @@ def run_plan(
         dialect: how to read it.
         context: what the planner could have seen.
         ask: a person is there to be asked after a refusal.
+        repair: decide the repair of a step that only the safety gate refused, too.
     """
     enforcer = simulation.gate.enforcer
     try:
         read = normalize(plan, binder=simulation.binder, dialect=dialect)
     except AuthGuardError as error:
         return Run(reports=(enforcer.refuse_plan(error, planner=PLANNER),), steps=0, then="hold")
+    propose = partial(enforcer.propose, planner=PLANNER, evidence=read.evidence, context=context)
     reports: list[Report] = []
     for step in read.steps:
-        report = enforcer.propose(step, planner=PLANNER, evidence=read.evidence, context=context)
+        report = propose(step, repair=repair)
         reports.append(report)
         if report.outcome is not Outcome.SUCCEEDED:
             break
-    done = len(reports) == len(read.steps) and reports[-1].outcome is Outcome.SUCCEEDED
-    if done:
-        return Run(reports=tuple(reports), steps=len(read.steps))
-    then = _after_refusal(simulation, reports[-1], ask=ask)
-    return Run(
-        reports=tuple(reports),
-        steps=len(read.steps),
-        alerts=_alerts(reports[-1]),
-        change=_change(simulation, reports[-1]),
-        then=then,
-    )
+    ran, last = Run(reports=tuple(reports), steps=len(read.steps)), reports[-1]
+    if len(reports) == len(read.steps) and last.outcome is Outcome.SUCCEEDED:
+        return ran
+    then, change = _after_refusal(simulation, last, ask=ask), _change(simulation, last)
+    return msgspec.structs.replace(ran, alerts=_alerts(last), change=change, then=then)
 
 
 def run_command(
@@ -157,6 +160,7 @@ def run_command(
     drift_to: Annotated[
         str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
     ] = None,
+    repair: RepairOption = False,
     now: NowOption = None,
     counter: CounterOption = None,
     weight: WeightOption = None,
@@ -191,10 +195,8 @@ def run_command(
         mid = _activate(simulation, read_file(token))
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
-        runs = [
-            run_plan(simulation, read_input(p), dialect=dialect, context=ledger, ask=ask)
-            for p in plan
-        ]
+        given = partial(run_plan, simulation, dialect=dialect, context=ledger, ask=ask)
+        runs = [given(read_input(each), repair=repair) for each in plan]
         left = () if config is None else _unfulfilled(simulation, config, mid)
         measured = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
         payload = {**measured, "rules_open": left}

@@ -134,6 +134,7 @@ class GateClient:
         key: str | None = None,
         on_step: Callable[[dict[str, Any]], object] | None = None,
         timeout_ms: int | None = None,
+        repair: bool = False,
     ) -> dict[str, Any]:
         """Have a plan decided and carried out; return what became of every step.
 
@@ -143,11 +144,14 @@ class GateClient:
             key: names the proposal; the same key again returns what is recorded. Fresh when absent.
             on_step: called with each step's decision while the plan goes on.
             timeout_ms: longest time to wait; None waits as long as the robot moves.
+            repair: let the gate decide the repair of a step that only the safety gate refused,
+                once, like a new proposal; the step's report then has `repairs`.
 
         Raises:
             AuthGuardError: nothing was decided under this key.
         """
-        message = Propose(key=key if key is not None else fresh(), plan=plan, dialect=dialect)
+        own = key if key is not None else fresh()
+        message = Propose(key=own, plan=plan, dialect=dialect, repair=repair)
         return self._ask(Kind.PROPOSE, message, on_event=on_step, timeout_ms=timeout_ms)
 
     def open_stream(self, plan: bytes, *, dialect: str = "auto", key: str | None = None) -> Digest:

@@ -12,9 +12,10 @@ from functools import partial
 from msgspec import Struct
 
 from authguard_r.assembly import Gate
+from authguard_r.completion import attested_source
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.reasons import Reason
-from authguard_r.enforcement import attested_source, evaluate
+from authguard_r.enforcement import evaluate
 from authguard_r.gate.controller import RemoteController
 from authguard_r.normalize import Step
 from authguard_r.report import Judged, behind_of, lacks_state

@@ -274,6 +274,7 @@ class Plans:
             context=self._context(client),
             keep=keeper,
             inputs={"action": step.action} if self._shadow else {},
+            repair=run.asked.repair,
         )
         if isinstance(begun, Running):
             ended = partial(self._moved, run, keeper)

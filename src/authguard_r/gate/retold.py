@@ -67,6 +67,7 @@ def retold(
                 "recorded": True,
             },
             "seq": link.seq,
+            **({"repairs": opened["repairs"]} if "repairs" in opened else {}),
         }
     except (KeyError, IndexError, TypeError, ZeroDivisionError, ValueError) as error:
         raise StoreError(

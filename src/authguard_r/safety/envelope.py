@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import msgspec
 from msgspec import Struct
 
 from authguard_r.core.action import Action
@@ -19,6 +18,7 @@ from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.state import AttestedState
 from authguard_r.safety.config import SPEED, THE_OBJECT, VELOCITY, SafetyConfig
 from authguard_r.safety.reading import trusted_value
+from authguard_r.safety.repair import AT_MOST, repair_of
 
 FORCE = ParameterId("force_mn")
 HUMAN_DISTANCE = VariableId("human_distance_mm")
@@ -67,7 +67,8 @@ class EnvelopeGate:
         found = tuple(finding for rule in RULES for finding in rule(scene))
         if not found:
             return SafetyDecision(safe=True)
-        return SafetyDecision(safe=False, findings=found, repair=_repair(scene, found))
+        repair = repair_of(action, found, keep_out=self.config.keep_out, facts=facts)
+        return SafetyDecision(safe=False, findings=found, repair=repair)
 
 
 def rule_speed(scene: _Scene) -> Findings:
@@ -169,15 +170,4 @@ def _speed(scene: _Scene) -> tuple[ParameterId, int | None]:
 
 def _above(hazard: Hazard, parameter: ParameterId, value: int | None, most: int) -> Findings:
     got = "none" if value is None else str(value)
-    return (SafetyFinding(hazard, f"params.{parameter}", f"at most {most}", got),)
-
-
-def _repair(scene: _Scene, found: Findings) -> Action | None:
-    """Return the action slowed down, when speed is all that is wrong with it."""
-    speedy = {Hazard.SPEED, Hazard.HUMAN_PROXIMITY}
-    asked = scene.action.params.get(SPEED)
-    if asked is None or any(finding.hazard not in speedy for finding in found):
-        return None
-    most = min(int(finding.expected.removeprefix("at most ")) for finding in found)
-    params = {**scene.action.params, SPEED: most}
-    return msgspec.structs.replace(scene.action, params=params, provenance={}, meta=None)
+    return (SafetyFinding(hazard, f"params.{parameter}", f"{AT_MOST}{most}", got),)

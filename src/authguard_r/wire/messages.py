@@ -189,11 +189,13 @@ class Propose(_Message, frozen=True, kw_only=True):
         key: idempotency key; a repeat gets the recorded decision and outcome.
         plan: the exact bytes.
         dialect: how they are written.
+        repair: decide the repair that the safety gate offers of a step, too.
     """
 
     key: Key
     plan: bytes
     dialect: str = "auto"
+    repair: bool = False
 
 
 class Observe(_Message, frozen=True, kw_only=True):
