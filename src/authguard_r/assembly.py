@@ -157,7 +157,7 @@ def assemble(
         at = boot_ms(clock.wall_ms(), trust, since_ms, store.run(last_commit_ms))
         rid, profile = trust.gate_identity(chain, Now(at, 0))
         facts = replace(facts_of(site, rid=rid, profile=profile), risk=risk)
-        sealer, retention = sealer_of(store, rid, sealing)
+        sealer, policy = sealer_of(store, rid, sealing)
         ledger = Ledger(
             store,
             clock,
@@ -181,7 +181,7 @@ def assemble(
         ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
     )
     enforcer = Enforcer(ledger, intake, facts=facts, safety=safety, watch=watch, clock=clock)
-    management = Management(ledger, intake, verifier=trust, facts=facts, retention=retention)
+    management = Management(ledger, intake, verifier=trust, facts=facts, sealing=policy)
     anchor.begin()
     enforcer.before_first(management.recover)
     return Gate(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ from authguard_r.cli.replay import Replay
 from authguard_r.commands import Verb
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.identifiers import MissionId
 from authguard_r.core.mission import DataClass, Mission
+from authguard_r.core.quantities import to_ms
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from fixtures import approvals, scenarios, sealed_logs
@@ -177,9 +180,7 @@ def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
     assert gate.shreds(mission.mid, REGION)[1]["error"]["code"] == "MISSION_UNKNOWN"
     gate.stop_process("gate")
     rows = sealed_logs.rows_of(gate.store)
-    mine = [row for row in rows if sealed_logs.told(row).link.mid == mission.mid]
-    names = {name for row in mine for name in sealed_logs.values(row)}
-    assert not [name for name in names if name.startswith((BOX, WRAP)) and "region" in name]
+    assert regions(rows, mission.mid) == []
     replay = replayed(rows, gate.trust)
     assert (replay.agree, replay.not_replayable) == (0, replay.decisions)
     # where the planner wanted to go, which the porter could read
@@ -187,6 +188,33 @@ def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
     for word in (b'"action.regions"', b'"destination":"isolation-room"'):
         assert before.count(word) == 200, word
         assert word not in after
+
+
+def test_a_gate_without_a_rule_destroys_a_class_at_the_time_that_its_mission_says(
+    gate: SealingGate,
+) -> None:
+    """Also when the gate was killed before, and only for that mission."""
+    other, digest = gate.active(mission="other")
+    gate.ends(other, digest)
+    mission, _ = gate.active(window={"for": "5 s"}, retention={"region": "1 s"})
+    gate.kill9()
+    over_ms = to_ms(mission.expiry, where="expiry") + mission.retention[REGION]
+    until(lambda: time.time_ns() // 1_000_000 > over_ms, "the end of the mission's own time")
+    gate.start_gate()
+    until(gate.shredded, "the last box")
+    gate.stop_process("gate")
+    rows = sealed_logs.rows_of(gate.store)
+    (done,) = [told for told in map(sealed_logs.told, rows) if told.open.get("verb") == "shred"]
+    assert (done.open["of"], done.open["classes"]) == (mission.mid, ["region"])
+    left = {mid: regions(rows, mid) for mid in (mission.mid, other.mid)}
+    assert (left[mission.mid], bool(left[other.mid])) == ([], True)
+
+
+def regions(rows: list[Row], mid: MissionId) -> list[str]:
+    """Return what of a mission is still sealed for readers of regions."""
+    mine = [row for row in rows if sealed_logs.told(row).link.mid == mid]
+    names = [name for row in mine for name in sealed_logs.values(row)]
+    return [name for name in names if name.startswith((BOX, WRAP)) and "region" in name]
 
 
 def test_an_order_is_carried_out_on_a_store_that_no_gate_holds(gate: SealingGate) -> None:

@@ -47,7 +47,8 @@ from authguard_r.management.shredding import (
     shred_on,
 )
 from authguard_r.report import behind_of
-from authguard_r.sealing import Retention
+from authguard_r.sealing import SealingPolicy
+from authguard_r.sealing.kept import due_missions
 from authguard_r.templates import TemplateStanding
 
 T = TypeVar("T")
@@ -61,7 +62,7 @@ class Management:
         intake: verifies missions, templates and approvals.
         verifier: verifies commands and selections.
         facts: the signed site and the gate's identity.
-        retention: how long sealed fields are kept.
+        sealing: what of the log is sealed, and how long it is kept.
     """
 
     def __init__(
@@ -71,11 +72,11 @@ class Management:
         *,
         verifier: Verifier,
         facts: SiteFacts,
-        retention: tuple[Retention, ...] = (),
+        sealing: SealingPolicy = SealingPolicy(),  # noqa: B008 - frozen
     ) -> None:
         self._ledger = ledger
         self._intake = intake
-        self._parts = Parts(intake=intake, verifier=verifier, facts=facts, retention=retention)
+        self._parts = Parts(intake=intake, verifier=verifier, facts=facts, sealing=sealing)
 
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
         """Take in a mission, or the next version of the active one, and make it active.
@@ -155,7 +156,7 @@ class Management:
         Raises:
             EnvironmentFault: nothing was destroyed.
         """
-        if not self._parts.retention:
+        if not self._parts.sealing.retention and not self._ledger.peek(due_missions):
             return Retired()
         return self._ledger.run(lambda act: retire(act, parts=self._parts), essential=True)
 

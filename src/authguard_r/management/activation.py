@@ -9,6 +9,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from authguard_r.compile.confirmation import signed_inputs
+from authguard_r.compile.spoken import duration
 from authguard_r.core.checks.mission import binding_findings
 from authguard_r.core.checks.provenance import wider_sources
 from authguard_r.core.encoding import Tag
@@ -22,7 +23,8 @@ from authguard_r.ledger import Act, stop_stands
 from authguard_r.management.parts import Parts, entry, refuse, replayed
 from authguard_r.management.repetition import Used, use_instance
 from authguard_r.management.rollback import require_later
-from authguard_r.sealing.kept import drop_last, hold_expiry
+from authguard_r.sealing import SealingPolicy
+from authguard_r.sealing.kept import drop_last, hold_expiry, hold_retention
 
 #: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
 _ENDS: dict[Reason, Event] = {
@@ -46,7 +48,7 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     """Take in a mission, an instance of a template, or the active mission's next version."""
     offered = _offered(act, token, confirmation, parts)
     verified, mission = offered.verified, offered.verified.mission
-    _require_usable(verified, act, parts.facts)
+    _require_usable(verified, act, parts)
     current = act.active()
     old = lapsed(act, act.standing(current) if current is not None else None, parts)
     if old is not None and old.status not in TERMINAL and current != mission.mid:
@@ -63,6 +65,7 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
         raise refuse(Reason.TRANSITION_REFUSED, f"the mission is {standing.status}")
     act.keep_token(verified.digest, offered.held)
     hold_expiry(act, mission.mid, verified.expiry_ms)
+    hold_retention(act, mission)
     if known is not None and act.seals:
         act.drop_token(known.digest)
     drop_last(act, mission.mid, verified.digest)
@@ -137,10 +140,27 @@ def require_sources(verified: VerifiedMission, facts: SiteFacts) -> None:
         raise refuse(Reason.PROVENANCE_DENIED, text, f"mission.sources.{field}")
 
 
-def _require_usable(verified: VerifiedMission, act: Act, facts: SiteFacts) -> None:
-    """Refuse what could never be carried out here: robot, profile, site, sources, time."""
-    require_bound(verified.mission, facts)
-    require_sources(verified, facts)
+def require_retention_bounds(mission: Mission, sealing: SealingPolicy) -> None:
+    """Refuse a mission whose retention lies outside the bounds of the gate's configuration."""
+    for data, kept_ms in mission.retention.items():
+        least_ms, most_ms = sealing.least_ms, sealing.most_ms.get(data, kept_ms)
+        if data not in sealing.classes:
+            known = ", ".join(sealing.classes) or "it seals none"
+            text = f"expected a class that this gate seals ({known}): no reader may read `{data}`"
+        elif not least_ms <= kept_ms <= most_ms:
+            most = f" and at most {duration(most_ms)}" if data in sealing.most_ms else ""
+            text = f"expected at least {duration(least_ms)}{most}, got {duration(kept_ms)}"
+        else:
+            continue
+        text += "; change `retention` in the draft and compile it again"
+        raise refuse(Reason.VALUE_OUT_OF_RANGE, text, f"mission.retention.{data}")
+
+
+def _require_usable(verified: VerifiedMission, act: Act, parts: Parts) -> None:
+    """Refuse what could never be carried out here: robot, profile, site, sources, times."""
+    require_bound(verified.mission, parts.facts)
+    require_sources(verified, parts.facts)
+    require_retention_bounds(verified.mission, parts.sealing)
     if act.now.utc_ms > verified.expiry_ms:
         text = f"it ended at {verified.mission.expiry}"
         raise refuse(Reason.EXPIRED, text, "mission.expiry")

@@ -27,7 +27,7 @@ from authguard_r.core.standing import Standing
 from authguard_r.intake import Intake
 from authguard_r.ledger import SKEW_MS, STOP, Act, Ledger, stop_stands
 from authguard_r.report import refusal_entry
-from authguard_r.sealing import Retention
+from authguard_r.sealing import SealingPolicy
 
 T = TypeVar("T")
 #: No order is good for longer, in milliseconds.
@@ -43,13 +43,13 @@ class Parts(Struct, frozen=True, kw_only=True):
         intake: verifies missions, templates and approvals.
         verifier: verifies commands and selections.
         facts: the signed site and the gate's identity.
-        retention: how long sealed fields are kept.
+        sealing: what of the log is sealed, and how long it is kept.
     """
 
     intake: Intake
     verifier: Verifier
     facts: SiteFacts
-    retention: tuple[Retention, ...] = ()
+    sealing: SealingPolicy = SealingPolicy()
 
 
 def attempt(ledger: Ledger, job: Callable[[Act], T]) -> T:

@@ -41,7 +41,7 @@ from authguard_r.management.activation import lapsed
 from authguard_r.management.answers import LATE
 from authguard_r.management.parts import Parts, entry, refuse
 from authguard_r.management.repetition import require_fresh
-from authguard_r.sealing.kept import due_missions, expiry_ms, hold_due, newest_keys
+from authguard_r.sealing.kept import due_missions, expiry_ms, hold_due, newest_keys, retention_of
 
 #: Who may order it: whoever says who reads, and for how long.
 ROLES = frozenset({"site_authority"})
@@ -128,14 +128,12 @@ def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
 def retire(act: Act, *, parts: Parts) -> Retired:
     """Destroy what was kept as long as the signed retention says; some of it, at most.
 
-    A mission that expired and that nobody ended lapses before; one of which nobody knows how an
-    action ended waits until somebody says it.
+    A mission's own times count in place of the gate's, within the gate's bounds. A mission that
+    expired and that nobody ended lapses before; one of which nobody knows how an action ended
+    waits until somebody says it.
     """
-    rules = {rule.data: rule.most_ms for rule in parts.retention if rule.most_ms}
-    if not rules:
-        return Retired()
-    due = due_missions(act)
-    looked = {mid: _ripe(act, mid, rules, parts) for mid in due[:_MOST_DUE]}
+    rules, due = parts.sealing.most_ms, due_missions(act)
+    looked = {mid: _ripe(act, mid, parts) for mid in due[:_MOST_DUE]}
     ripe = {mid: classes for mid, classes in looked.items() if classes is not None}
     begin = [mid for mid, classes in ripe.items() if _told(act, mid, classes)][:_MOST_BEGUN]
     begun: list[Shredding] = []
@@ -144,7 +142,7 @@ def retire(act: Act, *, parts: Parts) -> Retired:
     for mid in begin:
         if _end(act, mid, parts):
             begun += _retired(act, mid, _told(act, mid, ripe[mid]), 0)
-    over = {mid for mid, c in ripe.items() if len(c) == len(rules) and not _told(act, mid, c)}
+    over = {mid for mid, classes in ripe.items() if _is_over(act, mid, classes, parts)}
     waits = tuple(mid for mid in due_missions(act) if mid not in over)
     if len(due) > _MOST_DUE:
         waits = (*waits[_MOST_DUE:], *waits[:_MOST_DUE])
@@ -153,7 +151,7 @@ def retire(act: Act, *, parts: Parts) -> Retired:
     for most_ms in sorted(set(rules.values())):
         classes = tuple(data for data, ms in rules.items() if ms == most_ms)
         begun += _retired(act, NONE, classes, act.now.utc_ms - most_ms)
-    newest = _keys(act, NONE, tuple(rules), most=1)
+    newest = _keys(act, NONE, tuple(rules), most=1) if rules else ()
     if newest and act.now.utc_ms - newest[0].since_ms >= DAY_MS:
         act.forget_keys(NONE)  # the next record makes others, so that these have an end
     return Retired(begun=tuple(begun), stuck=tuple(mid for mid in looked if mid not in ripe))
@@ -227,7 +225,7 @@ def _required(
     if not keys:
         text = "nothing is sealed there, or it is destroyed already"
         raise refuse(Reason.MISSION_UNKNOWN, text, "command.mid")
-    least_ms = max((rule.least_ms for rule in parts.retention), default=0)
+    least_ms = parts.sealing.least_ms
     over_ms = 0 if mid == NONE or not least_ms else _over_ms(act, MissionId(mid), parts)
     ends = [key.until_ms if mid == NONE else over_ms for key in keys]
     ripe = tuple(
@@ -254,17 +252,22 @@ def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
     return parts.intake.held(act, standing.digest).expiry_ms
 
 
-def _ripe(
-    act: Act, mid: MissionId, rules: dict[DataClass, int], parts: Parts
-) -> tuple[DataClass, ...] | None:
+def _ripe(act: Act, mid: MissionId, parts: Parts) -> tuple[DataClass, ...] | None:
     """Return the classes of a mission that have no more time; None: the store cannot say it."""
     try:
-        over_ms = _over_ms(act, mid, parts)
-        ripe = tuple(d for d, most_ms in rules.items() if over_ms + most_ms <= act.now.utc_ms)
+        times = retention_of(act, mid, parts.sealing)
+        over_ms = _over_ms(act, mid, parts) if times else 0
+        ripe = tuple(data for data, ms in times.items() if over_ms + ms <= act.now.utc_ms)
         _told(act, mid, ripe)
     except AuthGuardError:  # one damaged mission keeps no other from its end
         return None
     return ripe
+
+
+def _is_over(act: Act, mid: MissionId, ripe: tuple[DataClass, ...], parts: Parts) -> bool:
+    """Return whether no class of a mission has an end to come; without any time, one may come."""
+    every = len(ripe) == len(retention_of(act, mid, parts.sealing))
+    return bool(ripe) and every and not _told(act, mid, ripe)
 
 
 def _told(act: Act, mid: MissionId, classes: tuple[DataClass, ...]) -> tuple[DataClass, ...]:

@@ -10,8 +10,9 @@ from msgspec import Struct
 
 from authguard_r.core.encoding import encode
 from authguard_r.core.errors import StoreError
-from authguard_r.core.identifiers import Count, Digest, MissionId
+from authguard_r.core.identifiers import Count, Digest, MissionId, Positive
 from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.mission import DataClass, Mission
 from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.ledger import Act, read_held
@@ -25,6 +26,8 @@ POLICY, _NEWEST, _DUE = "sealing-policy", "newest", "due"
 _LAST = "last"
 #: Where it holds when a mission expires.
 _EXPIRY = "sealing-expiry"
+#: Where it holds the retention times that a mission's newest version has of its own.
+_RETENTION = "sealing-retention"
 
 
 class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -50,6 +53,47 @@ def due_missions(turn: Turn | Act) -> tuple[MissionId, ...]:
 def hold_due(turn: Turn | Act, missions: tuple[MissionId, ...]) -> None:
     """Hold the missions whose sealed fields have an end to come."""
     turn.put(POLICY, _DUE, encode(missions))
+
+
+def add_due(turn: Turn | Act, mid: MissionId) -> None:
+    """Add a mission to those whose sealed fields have an end to come, once."""
+    due = due_missions(turn)
+    if mid not in due:
+        hold_due(turn, (*due, mid))
+
+
+def has_retention(turn: Turn | Act, mid: str) -> bool:
+    """Return whether the newest version of a mission has retention times of its own."""
+    return bool(turn.get(_RETENTION, mid))
+
+
+def hold_retention(act: Act, mission: Mission) -> None:
+    """Hold a mission's own retention times in place of those of the version before."""
+    if mission.retention:
+        act.put(_RETENTION, mission.mid, encode(mission.retention))
+        add_due(act, mission.mid)
+    elif has_retention(act, mission.mid):
+        act.put(_RETENTION, mission.mid, b"")
+
+
+def retention_of(turn: Turn | Act, mid: str, policy: SealingPolicy) -> dict[DataClass, int]:
+    """Return how long after its expiry a mission's sealed fields are kept, in milliseconds.
+
+    Args:
+        turn: reads the store.
+        mid: the mission.
+        policy: the gate's newest; its bounds hold for a mission that began under others, too.
+
+    Returns:
+        The mission's own time of a class, else the policy's; an absent class has no end.
+
+    Raises:
+        StoreError: what the store holds are no times.
+    """
+    held, most_ms = turn.get(_RETENTION, mid), policy.most_ms
+    own = read_held(held, dict[DataClass, Positive], _RETENTION) if held else {}
+    times = {data: max(kept_ms, policy.least_ms) for data, kept_ms in own.items()}
+    return most_ms | {data: min(ms, most_ms.get(data, ms)) for data, ms in times.items()}
 
 
 def newest_keys(turn: Turn | Act, mid: str) -> int | None:

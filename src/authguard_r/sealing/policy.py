@@ -56,6 +56,21 @@ class SealingPolicy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     readers: tuple[Reader, ...] = ()
     retention: tuple[Retention, ...] = ()
 
+    @property
+    def classes(self) -> tuple[DataClass, ...]:
+        """The classes that are sealed: those that a reader may read."""
+        return tuple(sorted({one for reader in self.readers for one in reader.classes}))
+
+    @property
+    def least_ms(self) -> int:
+        """The longest `least_ms` of all rules: before, no field of a mission is destroyed."""
+        return max((rule.least_ms for rule in self.retention), default=0)
+
+    @property
+    def most_ms(self) -> dict[DataClass, int]:
+        """How long the gate keeps a class at most; a class that is absent has no such bound."""
+        return {rule.data: rule.most_ms for rule in self.retention if rule.most_ms}
+
 
 def require_readers(readers: tuple[Reader, ...], *, where: str) -> tuple[ReaderPublic, ...]:
     """Return the keys of readers who have to have one each, and classes sorted and unique.

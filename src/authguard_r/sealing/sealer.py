@@ -20,8 +20,8 @@ from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId
 from authguard_r.core.ports import Store, Turn
 from authguard_r.ledger import read_held
-from authguard_r.sealing.kept import HELD, Kept, due_missions, hold_due, policy_of
-from authguard_r.sealing.policy import Retention, SealingPolicy, require_readers
+from authguard_r.sealing.kept import HELD, Kept, add_due, has_retention, policy_of
+from authguard_r.sealing.policy import SealingPolicy, require_readers
 from authguard_r.sealing.wraps import Wrapped, WrappedFor
 
 #: Missions whose keys are in memory at a time: the active one, and those of which something is
@@ -49,9 +49,9 @@ class Sealer:
         self._robot = robot
         self._random = random
         readers = policy.readers
-        self._retires = any(rule.most_ms for rule in policy.retention)
+        self._retires = bool(policy.most_ms)
         self._readers = tuple(zip(readers, require_readers(readers, where="readers"), strict=True))
-        self._classes = tuple(sorted({one for reader in readers for one in reader.classes}))
+        self._classes = policy.classes
         self._covers: OrderedDict[str, tuple[bytes, Cover]] = OrderedDict()
 
     def append(self, turn: Turn, entry: Entry, *, salts: Callable[[int], bytes]) -> int:
@@ -92,9 +92,8 @@ class Sealer:
         self._tell(turn, replace(entry, mid=mid), cover, before, salts)
         kept = encode(Kept(newest=seq))
         turn.put(HELD, mid, kept)
-        due = due_missions(turn) if self._retires and mid != NONE else None
-        if due is not None and mid not in due:
-            hold_due(turn, (*due, MissionId(mid)))
+        if mid != NONE and (self._retires or has_retention(turn, mid)):
+            add_due(turn, MissionId(mid))
         self._covers[mid] = (kept, cover)
         self._covers.move_to_end(mid)
         while len(self._covers) > _MOST_COVERS:
@@ -140,8 +139,8 @@ class Sealer:
 
 def sealer_of(
     store: Store, robot: RobotId, given: SealingPolicy | None
-) -> tuple[Sealer | None, tuple[Retention, ...]]:
-    """Return who seals a robot's log, None when nobody may read it; and how long that is kept.
+) -> tuple[Sealer | None, SealingPolicy]:
+    """Return who seals a robot's log, None when nobody may read it; and the policy in force.
 
     Args:
         store: the robot's.
@@ -152,4 +151,4 @@ def sealer_of(
         StoreError: what the store holds is no policy.
     """
     policy = policy_of(store, given)
-    return (Sealer(robot, policy) if policy.readers else None), policy.retention
+    return (Sealer(robot, policy) if policy.readers else None), policy
