@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,15 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 import authguard_reference as oracle
 import authguard_reference.templates as oracle_templates
+from authguard_r.audit.deviation import deviation
 from authguard_r.core.action import Action
-from authguard_r.core.approval import VerifiedApproval
+from authguard_r.core.approval import VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.decide import decide
 from authguard_r.core.encoding import Tag, decode, digest, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.core.mission import Mission
+from authguard_r.core.mission import Mission, ProtectedField
 from authguard_r.core.quantities import Now
-from authguard_r.core.reasons import DECIDED
+from authguard_r.core.reasons import DECIDED, Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import Principal, index_mission, verify_mission
 from authguard_r.keys.algorithms import require_sound
@@ -57,7 +59,7 @@ def test_the_gate_gives_the_published_answer() -> None:
             mission = msgspec.convert(given["mission"], Mission)
             issuer = Principal(
                 id=mission.issuer,
-                role="operator",
+                role=given.get("issuer", {}).get("role", "operator"),
                 scope=scenarios.EVERYWHERE,
                 usable_until_ms=given["usable_until_ms"],
             )
@@ -70,6 +72,9 @@ def test_the_gate_gives_the_published_answer() -> None:
                 now=msgspec.convert(given["now"], Now),
                 standing=None if standing is None else msgspec.convert(standing, Standing),
                 approvals=tuple(msgspec.convert(a, VerifiedApproval) for a in given["approvals"]),
+                preapprovals=tuple(
+                    msgspec.convert(a, VerifiedPreApproval) for a in given.get("preapprovals", ())
+                ),
             )
             assert str(decision.verdict) == expect["verdict"]
             assert [str(reason) for reason in decision.reasons] == expect["reasons"]
@@ -92,6 +97,14 @@ def test_the_oracle_gives_the_published_answer() -> None:
 def test_every_reason_of_the_gate_has_a_vector_alone_and_a_near_miss() -> None:
     pairs = {(vector["reason"], vector["kind"]) for vector in GATE["vectors"]}
     assert pairs == {(str(r), kind) for r in DECIDED for kind in ("alone", "near miss")}
+
+
+def test_every_deviation_is_the_published_share() -> None:
+    for vector in GATE["deviations"]:
+        share = Fraction(*vector["deviation"])
+        weights = {ProtectedField(name): n for name, n in vector["weights"].items()}
+        assert deviation(map(Reason, vector["reasons"]), weights) == share, vector
+        assert oracle.action_deviation(vector["reasons"], vector["weights"]) == share, vector
 
 
 def test_every_accepted_encoding_is_byte_exact() -> None:

@@ -12,6 +12,7 @@ from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.quantities import Now
 from fixtures import decision_cases, scenarios
 from fixtures.decision_cases import ALONE, Case, plain
+from making.sources import CONSENTS, SOURCES, deviations
 
 Json = dict[str, Any]
 
@@ -140,7 +141,12 @@ def gate_vectors() -> Json:
         lost = name.startswith("an approver without")
         kind, reason = ("alone" if lost else "near miss"), "APPROVAL_REQUIRED"
         vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
-    return {"facts": decision_cases.plain_facts(decision_cases.FACTS), "vectors": vectors}
+    for reason, cases in (("PROVENANCE_DENIED", SOURCES), ("APPROVAL_REQUIRED", CONSENTS)):
+        for name, (build, accepted) in cases.items():
+            kind = "near miss" if accepted else "alone"
+            vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
+    facts = decision_cases.plain_facts(decision_cases.FACTS)
+    return {"facts": facts, "vectors": vectors, "deviations": deviations()}
 
 
 def gate_vector(
@@ -180,6 +186,10 @@ def gate_input(case: Case) -> Json:
         "standing": None if case.standing is None else plain(case.standing),
         "approvals": [plain(item) for item in case.approvals],
     }
+    if case.preapprovals:
+        given["preapprovals"] = [plain(item) for item in case.preapprovals]
+    if case.issuer_role != "operator":
+        given["issuer"] = {"id": case.mission.issuer, "role": case.issuer_role}
     if case.facts is not decision_cases.FACTS:
         given["facts"] = decision_cases.plain_facts(case.facts)
     return given

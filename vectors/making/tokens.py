@@ -10,6 +10,8 @@ from typing import Any
 
 from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.core.encoding import Tag, b64, digest, encode_fast
+from authguard_r.core.mission import FIRST_SCHEMA, DataClass, ProtectedField
+from authguard_r.core.provenance import Label, SourceField
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.certificate import Role
@@ -69,6 +71,29 @@ def signed_mission(folder: Path, by: str, **changes: Any) -> str:
     return sign_object(mission, Tag.MISSION, folder_signer(folder, by)).decode()
 
 
+def newer() -> dict[str, Any]:
+    """Return what only the second language has."""
+    policy = scenarios.mission().risk_policy
+    weights = {ProtectedField.DESTINATION: 6, ProtectedField.OBJECT: 4}
+    return {
+        "sources": {SourceField.ROUTE: (Label.MODEL, Label.OPERATOR)},
+        "retention": {DataClass.EVIDENCE: 86_400_000},
+        "risk_policy": decision_cases.set_(policy, field_weights=weights),
+    }
+
+
+def unsound() -> dict[str, Any]:
+    """Return source sets that break a rule of the language."""
+    return {
+        "labels unsorted": {SourceField.ROUTE: (Label.OPERATOR, Label.MODEL)},
+        "a label twice": {SourceField.ROUTE: (Label.MODEL, Label.MODEL)},
+        "a recording that a model may permit": {SourceField.RECORDING: (Label.MODEL,)},
+        "a position that a camera may tell": {SourceField.POSITION: (Label.CAMERA,)},
+        "obstacles that nobody's sensor saw": {SourceField.STATE: (Label.OPERATOR,)},
+        "thresholds of a sensor's": {SourceField.APPROVAL_THRESHOLD: (Label.TRUSTED_SENSOR,)},
+    }
+
+
 def tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
     """Return tokens under one root."""
     operator = folder_signer(folder, "operator-1")
@@ -88,6 +113,22 @@ def tokens(folder: Path) -> dict[str, tuple[str, str | None]]:
             signed_mission(folder, "operator-1", not_before=late),
             "SCHEMA_INVALID",
         ),
+        "with source sets, weights of fields and retention": (
+            signed_mission(folder, "operator-1", **newer()),
+            None,
+        ),
+        "of the first language": (signed_mission(folder, "operator-1", schema=FIRST_SCHEMA), None),
+        **{
+            f"of the first language, with {name}": (
+                signed_mission(folder, "operator-1", schema=FIRST_SCHEMA, **{name: value}),
+                "SCHEMA_INVALID",
+            )
+            for name, value in newer().items()
+        },
+        **{
+            name: (signed_mission(folder, "operator-1", sources=sources), "SCHEMA_INVALID")
+            for name, sources in unsound().items()
+        },
         "a space": (good.replace('":', '": ', 1), "NOT_CANONICAL"),
         "cut off": (good[:-10], "MALFORMED"),
         "by an operator of this robot and these regions": (

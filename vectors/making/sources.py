@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decisions on who set which field, on consents given before anybody asked, and deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from random import Random
+from typing import Any
+
+from authguard_r.core.approval import PreApproval, VerifiedPreApproval
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.mission import SCHEMA, Limit
+from authguard_r.core.provenance import Chooser, Label, SourceField, allowed_of
+from fixtures import decision_cases, scenarios
+from fixtures.decision_cases import Case
+
+Json = dict[str, Any]
+Build = Callable[[Random], Case]
+_SIGNED = (Label.OPERATOR, Label.SUPERVISOR)
+#: Every label but a camera's.
+_NO_CAMERA = tuple(sorted(label for label in Label if label is not Label.CAMERA))
+
+
+def narrowed(field: SourceField, *labels: Label, by: str = "mission", **said: Label) -> Build:
+    """Return a case whose action has these labels, and whose mission or site narrows one field."""
+
+    def build(rnd: Random) -> Case:
+        kinds = ("record_video",) if field is SourceField.RECORDING else ("navigate",)
+        case = decision_cases._plain(rnd, *kinds)
+        row = next(r for r in case.grant.alternatives if r.source == case.action.source)
+        case = decision_cases._with_grant(case, alternatives=(row,))
+        route = row.regions[:1] if field is SourceField.ROUTE else ()
+        case = decision_cases._with_action(case, provenance=said, route=route)
+        if by == "site":
+            sources = allowed_of({field: labels})
+            return replace(case, facts=decision_cases.set_(case.facts, sources=sources))
+        return decision_cases._with_mission(case, schema=SCHEMA, sources={field: labels})
+
+    return build
+
+
+def chosen(chooser: Chooser, *labels: Label, **said: Label) -> Build:
+    """Return a case of two rows that differ in their destination, which the mission narrows."""
+
+    def build(rnd: Random) -> Case:
+        case = decision_cases._with_grant(decision_cases._two_rows(rnd), chooser=chooser)
+        case = decision_cases._with_action(case, provenance=said)
+        sources = {SourceField.DESTINATION: labels} if labels else {}
+        return decision_cases._with_mission(case, schema=SCHEMA, sources=sources)
+
+    return build
+
+
+def fixed(rnd: Random) -> Case:
+    """Every parameter has one signed value, so that nobody but the signer set it."""
+    case = narrowed(SourceField.PARAMETERS, *_SIGNED, params=Label.CAMERA)(rnd)
+    limits = tuple(Limit(parameter=p, low=n, high=n) for p, n in sorted(case.action.params.items()))
+    return decision_cases._with_grant(case, limits=limits)
+
+
+def by_officer(case: Build) -> Build:
+    """Return a case whose mission a safety officer issued."""
+    return lambda rnd: replace(case(rnd), issuer_role="safety_officer")
+
+
+_RECORDING, _THRESHOLD = SourceField.RECORDING, SourceField.APPROVAL_THRESHOLD
+#: Each case with what is refused of it; nothing where it is accepted.
+SOURCES: dict[str, tuple[Build, bool]] = {
+    "a way that a camera's text may have set, where none may": (
+        narrowed(SourceField.ROUTE, *_NO_CAMERA, route=Label.CAMERA),
+        False,
+    ),
+    "a way of the model's, where a camera's alone may not": (
+        narrowed(SourceField.ROUTE, *_NO_CAMERA, route=Label.MODEL),
+        True,
+    ),
+    "a way without a label, where one is left out": (
+        narrowed(SourceField.ROUTE, *_NO_CAMERA),
+        False,
+    ),
+    "a label of the operator's that nobody signed": (
+        narrowed(SourceField.ROUTE, *_SIGNED, route=Label.OPERATOR),
+        False,
+    ),
+    "a type by a planner that has seen a camera's text": (
+        narrowed(SourceField.TYPE, Label.MODEL, type=Label.CAMERA),
+        False,
+    ),
+    "a tool by a planner that has seen a camera's text": (
+        narrowed(SourceField.TOOL, Label.MODEL, tool=Label.CAMERA),
+        False,
+    ),
+    "a speed by a planner that has heard a voice": (
+        narrowed(SourceField.PARAMETERS, Label.MODEL, params=Label.AUDIO),
+        False,
+    ),
+    "a speed that has one signed value": (fixed, True),
+    "the site narrows it": (
+        narrowed(SourceField.ROUTE, *_NO_CAMERA, by="site", route=Label.CAMERA),
+        False,
+    ),
+    "a recording that an operator permits, where a supervisor has to": (
+        narrowed(_RECORDING, Label.SUPERVISOR),
+        False,
+    ),
+    "a recording that a safety officer permits": (
+        by_officer(narrowed(_RECORDING, Label.SUPERVISOR)),
+        True,
+    ),
+    "thresholds of an operator's, where a supervisor has to set them": (
+        narrowed(_THRESHOLD, Label.SUPERVISOR),
+        False,
+    ),
+    "a choice of the planner's that it may make": (chosen(Chooser.PLANNER), True),
+    "a choice of the planner's with a label that is left out": (
+        chosen(Chooser.PLANNER, *_NO_CAMERA, destination=Label.CAMERA),
+        False,
+    ),
+    "a choice of the planner's with a label that is left in": (
+        chosen(Chooser.PLANNER, *_NO_CAMERA, destination=Label.MODEL),
+        True,
+    ),
+    "a wide set gives the planner no choice that its grant does not": (
+        chosen(Chooser.OPERATOR, *sorted(Label), destination=Label.MODEL),
+        False,
+    ),
+}
+
+
+def consented(used: int = 0, **changes: Any) -> Build:
+    """Return a case that asks one further person, who consented beforehand; something changed."""
+
+    def build(rnd: Random) -> Case:
+        case = decision_cases.everywhere(decision_cases._approval_base(rnd))
+        tau = {"tau_1": 1, "tau_2": changes.get("tau_2", 1_000), "t": 2}
+        policy = decision_cases.set_(case.mission.risk_policy, **tau)
+        case = decision_cases._with_mission(case, risk_policy=policy)
+        said = PreApproval(
+            mid=case.mission.mid,
+            version=case.mission.version,
+            mission=digest_of(Tag.MISSION, case.mission),
+            rid=scenarios.RID,
+            grant=case.grant.id,
+            rows=changes.get("rows", tuple(range(len(case.grant.alternatives)))),
+            most_risk=changes.get("most_risk", 999),
+            uses=2,
+            expires_ms=case.now.utc_ms + changes.get("left_ms", 0),
+            issued_ms=case.now.utc_ms - 1,
+        )
+        approver = decision_cases.set_(
+            case.approvals[0].approver, role=changes.get("role", "supervisor")
+        )
+        hashed = digest_of(Tag.PREAPPROVAL, said)
+        consent = VerifiedPreApproval(preapproval=said, digest=hashed, approver=approver)
+        assert case.standing is not None
+        standing = decision_cases.set_(case.standing, requests={}, preapproved={hashed: used})
+        return replace(case, standing=standing, approvals=(), preapprovals=(consent,))
+
+    return build
+
+
+CONSENTS: dict[str, tuple[Build, bool]] = {
+    "a consent in its last millisecond": (consented(), True),
+    "a consent used once of twice": (consented(used=1), True),
+    "a consent used up": (consented(used=2), False),
+    "a consent that is over": (consented(left_ms=-1), False),
+    "a consent to a row that is not there": (consented(rows=(9,)), False),
+    "a consent to less risk": (consented(most_risk=1), False),
+    "a consent of somebody who may not answer": (consented(role="estimator"), False),
+    "the third line asks each time": (consented(tau_2=1), False),
+}
+
+#: Codes of findings with weights of fields, and D_M as numerator and denominator.
+DEVIATIONS: list[tuple[list[str], Json, list[int]]] = [
+    ([], {}, [0, 1]),
+    (["DESTINATION_OUT_OF_SCOPE"], {}, [1, 15]),
+    (["DESTINATION_OUT_OF_SCOPE"], {"destination": 6}, [3, 10]),
+    (["SOURCE_OUT_OF_SCOPE", "SOURCE_NOT_ATTESTED"], {}, [1, 15]),
+    (["OBJECT_OUT_OF_SCOPE", "DESTINATION_OUT_OF_SCOPE"], {"object": 2, "time": 3}, [1, 6]),
+    (["EXPIRED", "REVOKED", "ROBOT_MISMATCH"], {}, [1, 5]),
+    (["APPROVAL_REQUIRED"], {"approval": 100}, [50, 57]),
+]
+
+
+def deviations() -> list[Json]:
+    """Return how far findings deviate, by weights."""
+    return [
+        {"reasons": reasons, "weights": weights, "deviation": share}
+        for reasons, weights, share in DEVIATIONS
+    ]
