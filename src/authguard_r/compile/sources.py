@@ -13,7 +13,7 @@ from authguard_r.core.checks.provenance import wider_sources
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.mission import DataClass, ProtectedField
-from authguard_r.core.provenance import Label, SourceField, allowed_of
+from authguard_r.core.provenance import MOST, Label, SourceField, allowed_of
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
 
@@ -28,11 +28,15 @@ def build_sources(given: Mapping[str, tuple[str, ...]], site: Site) -> dict[str,
     """
     for field, labels in given.items():
         _require_known(field, SourceField, f"sources.{field}")
+        if not labels:
+            text = "expected at least one label: who may set nothing needs no grant"
+            raise MalformedError(text, where=f"sources.{field}", reason=Reason.SCHEMA_INVALID)
         for number, label in enumerate(labels):
             _require_known(label, Label, f"sources.{field}[{number}]")
     signed = {SourceField(field): tuple(map(Label, labels)) for field, labels in given.items()}
     for field in wider_sources(allowed_of(signed), allowed_of(site.sources)):
-        text = f"expected labels that the site allows: {', '.join(site.sources[field])}"
+        allowed = ", ".join(site.sources.get(field, sorted(MOST[field])))
+        text = f"expected labels that the site allows: {allowed}"
         raise MalformedError(text, where=f"sources.{field}", reason=Reason.PROVENANCE_DENIED)
     return {field: sorted(set(labels)) for field, labels in given.items()}
 
@@ -45,10 +49,15 @@ def build_retention(given: Mapping[str, Quantity], asked: Questions) -> dict[str
     """
     for data in given:
         _require_known(data, DataClass, f"retention.{data}")
-    return {
+    kept = {
         data: asked.integer(length, _MS, field=f"retention.{data}")
         for data, length in given.items()
     }
+    for data, length in kept.items():
+        if length is not None and length < 1:
+            text = "expected a time above zero, such as `720 h`"
+            raise MalformedError(text, where=f"retention.{data}", reason=Reason.SCHEMA_INVALID)
+    return kept
 
 
 def read_weights(given: Mapping[str, object], *, where: str) -> Weights:

@@ -363,7 +363,8 @@ def _newer(mission: Mission) -> Iterator[tuple[str, str]]:
     if mission.schema == FIRST_SCHEMA:
         for place, value in newer:
             if value:
-                yield place, f"expected none in `{FIRST_SCHEMA}`: compile the draft again"
+                fault = f"expected none in `{FIRST_SCHEMA}`"
+                yield place, f"{fault}: `authguard mission compile` writes `{SCHEMA}`"
 
 
 def source_faults(sources: Sources) -> Iterator[tuple[str, str]]:
