@@ -34,6 +34,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
+from authguard_r.issued import issued
 from authguard_r.ledger import SKEW_MS, Act, Ledger, read_held
 from authguard_r.templates import (
     Delegations,
@@ -169,8 +170,8 @@ class Intake:
         """Return the one active mission, verified once and kept by the digest of its bytes.
 
         Raises:
-            RefusedError: no mission is active (`NO_ACTIVE_MISSION`), or the store was put back
-                (`ROLLED_BACK`).
+            RefusedError: no mission is active (`NO_ACTIVE_MISSION`; `MISSION_NOT_ACTIVE` when one
+                is issued), or the store was put back (`ROLLED_BACK`).
             StoreError: its token is gone.
             AuthenticityError: its certificates do not hold any more.
         """
@@ -178,11 +179,11 @@ class Intake:
         mid = act.active()
         standing = act.standing(mid) if mid is not None else None
         if standing is None:
-            raise RefusedError(
-                "no mission is active on this robot",
-                where="mission",
-                reason=Reason.NO_ACTIVE_MISSION,
-            )
+            text, reason = "no mission is active on this robot", Reason.NO_ACTIVE_MISSION
+            if issued(act):
+                text += ", only issued: `authguard mission activate TOKEN` makes one active"
+                reason = Reason.MISSION_NOT_ACTIVE
+            raise RefusedError(text, where="mission", reason=reason)
         return self.mission(act, standing.digest)
 
     def mission(self, act: Act, digest: Digest) -> VerifiedMission:
@@ -278,8 +279,9 @@ class Intake:
         template = self.verify_template(pair.template.encode("utf-8"), act)
         self._require_template(act, template.digest)
         token = pair.instance.encode("utf-8")
-        made = instantiate(token, template, verifier=self._verifier, now=act.now)
-        return self._keep(made.mission)
+        return self._keep(
+            instantiate(token, template, verifier=self._verifier, now=act.now).mission
+        )
 
     def _require_template(self, act: Act, digest: Digest) -> KeptTemplate:
         kept = self.kept_template(act, digest)

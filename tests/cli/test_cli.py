@@ -539,11 +539,11 @@ def test_a_tampered_log_is_1_and_an_unreadable_one_4(shell: Shell, token: str) -
     connection.execute("DROP TRIGGER audit_only_forgets")
     connection.execute(
         "UPDATE audit SET record = CAST(replace(CAST(record AS TEXT), 'accept', 'reject') AS BLOB)"
-        " WHERE seq = 2"
+        " WHERE seq = 3"
     )
     connection.close()
     code, found = shell.json("audit", "verify", "r.db")
-    assert (code, found["whole"], found["where"]) == (1, False, "record 2")
+    assert (code, found["whole"], found["where"]) == (1, False, "record 3")
     Path("junk.db").write_text("junk")
     assert shell.json("audit", "verify", "junk.db")[0] == 4
     assert shell.json("audit", "verify", "none.db")[0] == 4

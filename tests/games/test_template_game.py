@@ -350,7 +350,7 @@ def test_a_withdrawn_template_ends_its_active_mission_and_makes_none_again() -> 
             act()
         assert error.value.reason is Reason.REVOKED
     verbs = [record["verb"] for record in opened(sim) if "verb" in record]
-    assert verbs == ["template", "activate", "withdraw", "revoke"]
+    assert verbs == ["template", "issue", "activate", "withdraw", "revoke"]
 
 
 def test_a_withdrawn_template_ends_no_mission_that_was_not_made_of_it() -> None:

@@ -105,8 +105,11 @@ class Story:
 
     def _management(self, row: Row, opened: dict[str, Any], decision: str) -> None:
         sealed = json.loads(row.sealed)
-        if decision == "activate":
+        if decision == "issue":
             assert self.status is None
+            self.status = Status.ISSUED
+        elif decision == "activate":
+            assert self.status is Status.ISSUED
             self.status = Status.ACTIVE
         elif decision == "recover":
             self._recover(opened)

@@ -231,7 +231,7 @@ def test_what_set_out_in_time_goes_on_until_the_next_mission_takes_its_place(
         active = gate.activate(gate.token(after))
         assert active["status"] == "active"
         assert home.aborted() == ["MISSION_COMPLETED"]
-        lapsed, activated, *_ = [r for r in gate.news() if r.kind == "management"]
+        lapsed, _, activated, *_ = [r for r in gate.news() if r.kind == "management"]
         assert (lapsed.open["verb"], lapsed.open["status"]) == ("lapse", "completed")
         assert activated.open["verb"] == "activate"
         with operator(gate) as person:

@@ -90,7 +90,9 @@ def test_an_older_store_opens_and_its_missions_go_on(story: Path) -> None:
     before = sim.gate.management.standing(MissionId("deliver-p1"))
     assert before is not None
     assert order(Verb.COMPLETE, before) == "completed"
-    standing = sim.gate.management.activate(sign_object(begin, Tag.MISSION, signer))
+    handed = sign_object(begin, Tag.MISSION, signer)
+    assert sim.gate.management.issue(handed).status == "issued"
+    standing = sim.gate.management.activate(handed)
     assert standing.status == "suspended"  # the stop stands
     assert order(Verb.RESUME, standing) == "active"
     assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome == "succeeded"

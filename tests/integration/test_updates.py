@@ -230,7 +230,9 @@ def test_an_update_is_logged_as_a_relation_between_two_digests() -> None:
     sim = scenarios.simulation()
     sim.gate.management.activate(scenarios.token())
     sim.gate.management.activate(scenarios.token(second()))
-    first, update = management(sim.gate.ledger.store.rows())
+    taken, first, offered, update = management(sim.gate.ledger.store.rows())
+    assert taken == {**first, "verb": "issue", "status": "issued"}
+    assert offered == {**update, "verb": "issue", "status": "issued"}
     assert first["supersedes"] == "-"
     assert update["supersedes"] == first["mission"] == digest_of(Tag.MISSION, scenarios.mission())
     assert (update["mission"], update["version"]) == (digest_of(Tag.MISSION, second()), 2)
@@ -268,7 +270,7 @@ def test_an_update_that_fails_in_the_middle_leaves_the_old_version_whole(
     assert sim.gate.management.activate(scenarios.token(second())).version == 2
     sim.gate.close()
     rows = read_rows(tmp_path / "robot.db")
-    assert [record["version"] for record in management(rows)] == [1, 2]
+    assert [record["version"] for record in management(rows)] == [1, 1, 2, 2]
     assert verify_rows(rows, terminal=None).whole
 
 
@@ -294,5 +296,6 @@ def test_a_process_killed_in_the_middle_of_an_update_leaves_one_version_whole(
     assert again.gate.ledger.run(lambda act: act.active()) == "deliver-p1"
     again.gate.close()
     rows = read_rows(store)
-    assert [record["version"] for record in management(rows)] == [*range(1, whole.version + 1)]
+    twice = sorted([*range(1, whole.version + 1)] * 2)  # issued and active, in one commit
+    assert [record["version"] for record in management(rows)] == twice
     assert verify_rows(rows, terminal=None).whole

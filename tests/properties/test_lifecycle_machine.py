@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission's whole life in any order, beside a small model of it written from the spec pages.
 
-Activate, supersede, propose, ask, approve, deny, wait, order, end, kill and begin again: the gate
-and the model give the same verdict with the same reasons, refuse the same orders for the same
-reason, and hold the same standing. The model decides with the reference and keeps its registry as
-docs/spec/standing.md, lifecycle.md and approval.md say, in plain data.
+Hand in, activate, supersede, propose, ask, approve, deny, wait, order, end, kill and begin again:
+the gate and the model give the same verdict with the same reasons, refuse the same orders for the
+same reason, and hold the same standing. The model decides with the reference and keeps its registry
+as docs/spec/standing.md, lifecycle.md and approval.md say, in plain data.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,9 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
+from authguard_r.issued import registered
 from authguard_r.keys.setup import read_authority, write_revocations
+from authguard_r.ledger import Act
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Report
@@ -110,6 +112,17 @@ def token(name: str, version: int) -> bytes:
     return sign_object(mission(name, version), Tag.MISSION, signer("operator-1"))
 
 
+def fresh_standing(name: str, version: int) -> Json:
+    digest = digest_of(Tag.MISSION, mission(name, version))
+    return {"mid": name, "version": version, "digest": digest, "rid": scenarios.RID}
+
+
+def status_of(name: str, version: int, act: Act) -> str | None:
+    """Return the registry's status of exactly this version."""
+    found = registered(act, name, digest_of(Tag.MISSION, mission(name, version)))  # type: ignore[arg-type]
+    return None if found is None else str(found.status)
+
+
 class Refused(Exception):  # noqa: N818 - it is an answer of the model
     """The model refuses an order, for this reason."""
 
@@ -144,13 +157,14 @@ class Model:
 
     def __init__(self) -> None:
         self.registry: dict[str, Json] = {}
+        self.beside: dict[tuple[str, int], str] = {}  # a next version that was handed in
         self.active: str | None = None
         self.answers: dict[tuple[str, int], list[Json]] = {}
         self.asked: dict[tuple[str, int], Json] = {}  # the action that each request is about
         self.spent_nonces: set[bytes] = set()
         self.stopped_ms = 0  # when an operator stopped the robot, and no resume came since
         self.halted_ms: dict[str, int] = {}  # when a mission was suspended last
-        self.newest_ms: dict[str, int] = {}  # when the newest order about one was signed
+        self.newest_ms: dict[object, int] = {}  # when the newest order about one was signed
 
     def hold(self, name: str, standing: Json, now_ms: int) -> None:
         """Hold a standing, and since when it is suspended."""
@@ -167,11 +181,11 @@ class Model:
             event = "complete" if standing["status"] == "closing" else "suspend"
             self.hold(self.active, advanced(standing, event) or standing, now_ms)
 
-    def _in_order(self, verb: str, name: str, more: Json) -> None:
-        """Refuse a resume, or a suspension, that was signed before what it would undo."""
-        if verb not in {"resume", "suspend"}:
+    def _in_order(self, verb: str, name: str, more: Json, key: object) -> None:
+        """Refuse an order that was signed before what it would undo; `key`: of which version."""
+        if verb == "resolve":
             return
-        over = [self.newest_ms.get(name, 0)]
+        over = [self.newest_ms.get(key, 0)]
         if verb == "resume":
             over += [self.stopped_ms, self.halted_ms.get(name, 0)]
         if more["issued_ms"] <= max(over):
@@ -181,27 +195,83 @@ class Model:
         """Return the version that the registry has."""
         return plain_mission(name, self.registry[name]["version"])
 
+    # standing.md, handing in
+
+    def hand_in(self, name: str, version: int, now_ms: int) -> None:
+        self.end_issued(now_ms)
+        offered = plain_mission(name, version)
+        if now_ms > instant_ms(offered["expiry"]):
+            raise Refused("EXPIRED")
+        known = self._lapsed(name, now_ms) if name in self.registry else None
+        self._never_handed_in(name, version)
+        fresh = fresh_standing(name, version)
+        if known is None:
+            if version != 1:
+                raise Refused("MISSION_UNKNOWN")
+            self.registry[name] = {**fresh, "status": "issued"}
+            return
+        self._require_next(known, version)
+        self._update(known, fresh, offered)
+        self.beside[name, version] = "issued"
+
+    def end_issued(self, now_ms: int, of: str | None = None) -> None:
+        """End what is issued and ended by itself; `of` one mission, or of every mission."""
+        for name in NAMES if of is None else (of,):
+            known = self.registry.get(name)
+            if known is not None and known["status"] == "issued":
+                known = self.registry[name] = self._lapsed(name, now_ms)
+            for version in VERSIONS:
+                if self.beside.get((name, version)) == "issued":
+                    ended = self._ended_beside(name, version, now_ms)
+                    self.beside[name, version] = ended or "issued"
+
+    def _ended_beside(self, name: str, version: int, now_ms: int) -> str | None:
+        known = self._lapsed(name, now_ms)
+        if known["version"] >= version or known["status"] == "completed":
+            return "superseded"
+        if known["status"] in FINAL:
+            return str(known["status"])
+        is_over = now_ms > instant_ms(plain_mission(name, version)["expiry"])
+        return "expired" if is_over else None
+
+    def is_issued(self) -> bool:
+        """True while a version of any mission is issued."""
+        first = (standing["status"] for standing in self.registry.values())
+        return "issued" in {*first, *self.beside.values()}
+
+    def _never_handed_in(self, name: str, version: int) -> None:
+        status = self.beside.get((name, version))
+        if status is not None:
+            raise Refused(STATUS_REFUSAL[status] or "TRANSITION_REFUSED")
+
+    def _require_next(self, known: Json, version: int) -> None:
+        if version <= known["version"]:
+            raise Refused(STATUS_REFUSAL[known["status"]] or "TRANSITION_REFUSED")
+        if version != known["version"] + 1:
+            raise Refused("SUPERSEDED")
+
     # standing.md, activation
 
     def activate(self, name: str, version: int, now_ms: int) -> None:
+        self.end_issued(now_ms)
         offered = plain_mission(name, version)
-        digest = digest_of(Tag.MISSION, mission(name, version))
         if now_ms > instant_ms(offered["expiry"]):
             raise Refused("EXPIRED")
         held = None if self.active is None else self._lapsed(self.active, now_ms)
         if held is not None and held["status"] not in FINAL and self.active != name:
             raise Refused("TRANSITION_REFUSED")
         known = held if name == self.active else self.registry.get(name)
-        fresh: Json = {"mid": name, "version": version, "digest": digest, "rid": scenarios.RID}
+        fresh = fresh_standing(name, version)
+        if self.beside.get((name, version)) != "issued":
+            self._never_handed_in(name, version)
         if known is None:
             if version != 1:
                 raise Refused("MISSION_UNKNOWN")
             standing = {**fresh, "status": "active"}
-        elif version <= known["version"]:
-            raise Refused(STATUS_REFUSAL[known["status"]] or "TRANSITION_REFUSED")
-        elif version != known["version"] + 1:
-            raise Refused("SUPERSEDED")
+        elif (version, known["status"]) == (known["version"], "issued"):
+            standing = {**known, "status": "active"}
         else:
+            self._require_next(known, version)
             standing = self._update(known, fresh, offered)
         if self.stopped_ms or (known is not None and known["status"] == "suspended"):
             standing = {**standing, "status": "suspended"}
@@ -209,6 +279,8 @@ class Model:
             self.registry[self.active] = held
         self.hold(name, standing, now_ms)
         self.active = name
+        self.beside.pop((name, version), None)
+        self.end_issued(now_ms, name)
 
     def _lapsed(self, name: str, now_ms: int) -> Json:
         standing = self.registry[name]
@@ -240,15 +312,31 @@ class Model:
     def command(
         self, verb: str, name: str, version: int, by: str, *, nonce: bytes, more: Json
     ) -> None:
+        self.end_issued(more["now_ms"])
         if nonce in self.spent_nonces:
             raise Refused("EXPIRED")
         standing = self.registry.get(name)
+        status = self.beside.get((name, version))
+        if status is not None:
+            standing = {**fresh_standing(name, version), "status": status}
         if standing is None or standing["version"] != version:
             raise Refused("MISSION_UNKNOWN")
         narrows = by == "safety-officer-1" and verb in {"suspend", "revoke"}
         if by != "operator-1" and not narrows:
             raise Refused("ROLE_DENIED")
-        self._in_order(verb, name, more)
+        key = name if status is None else (name, version)
+        self._in_order(verb, name, more, key)
+        if status is not None or standing["status"] == "issued":
+            if verb == "resolve" or advanced(standing, verb) is None:
+                raise Refused("TRANSITION_REFUSED")
+            self.newest_ms[key] = more["issued_ms"]
+            self.spent_nonces.add(nonce)
+            if status is None:
+                self.registry[name] = {**standing, "status": "revoked"}
+            else:
+                self.beside[name, version] = "revoked"
+            self.end_issued(more["now_ms"], name)
+            return
         after: Json | None
         if verb == "resolve":
             after = self._resolved(standing, more)
@@ -262,13 +350,14 @@ class Model:
         if after is None:
             raise Refused("TRANSITION_REFUSED")
         self.spent_nonces.add(nonce)
-        if verb in {"resume", "suspend"}:
+        if verb != "resolve":
             self.newest_ms[name] = more["issued_ms"]
         if verb == "resume":
             self.stopped_ms = 0
         self.hold(name, self.finished(after, more["now_ms"]), more["now_ms"])
         if self.registry[name]["status"] in FINAL:
             self.active = None
+            self.end_issued(more["now_ms"], name)
 
     def _resolved(self, standing: Json, more: Json) -> Json | None:
         opened = [item for item in standing.get("open", []) if item["ticket"] == more["ticket"]]
@@ -453,6 +542,24 @@ class Life(RuleBasedStateMachine):
             lambda: self.model.activate(name, version, now),
         )
 
+    @rule(name=st.sampled_from(NAMES), version=st.sampled_from([1, 2, 2, 3]))
+    def hand_in(self, name: str, version: int) -> None:
+        now = self.now_ms()
+        self.ordered(
+            lambda: self.here.gate.management.issue(token(name, version)),
+            lambda: self.model.hand_in(name, version, now),
+        )
+
+    @precondition(lambda self: self.model.beside)
+    @rule(
+        verb=st.sampled_from(["revoke", "suspend", "complete"]),
+        by=st.sampled_from(["operator-1", "safety-officer-1", "operator-2"]),
+        pick=st.integers(0, 9),
+    )
+    def command_a_version_beside(self, verb: str, by: str, pick: int) -> None:
+        name, version = sorted(self.model.beside)[pick % len(self.model.beside)]
+        self._order(verb, name, version, by, {})
+
     @precondition(lambda self: self.model.active is not None)
     @rule()
     def supersede(self) -> None:
@@ -530,7 +637,8 @@ class Life(RuleBasedStateMachine):
         report = begun if isinstance(begun, Report) else begun.report
         if report.judged is None:
             assert self.model.active is None
-            assert str(report.refusal.reason) == "NO_ACTIVE_MISSION"  # type: ignore[union-attr]
+            why = "MISSION_NOT_ACTIVE" if self.model.is_issued() else "NO_ACTIVE_MISSION"
+            assert str(report.refusal.reason) == why  # type: ignore[union-attr]
             return
         expected = self.model.propose(report.judged)
         decision = report.judged.decision
@@ -707,6 +815,8 @@ class Life(RuleBasedStateMachine):
             held = None if standing is None else tidy(plain(standing))
             wanted = self.model.registry.get(name)
             assert held == (None if wanted is None else tidy(wanted))
+        for (name, version), status in self.model.beside.items():
+            assert self.here.gate.ledger.run(partial(status_of, name, version)) == status
 
 
 QUICK = settings(

@@ -72,7 +72,11 @@ def test_only_a_mission_that_can_be_suspended_is() -> None:
     sim = ready()
     for _ in range(2):
         sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
-    assert [r.link.decision for r in records(sim, "management")] == ["activate", "suspend"]
+    assert [r.link.decision for r in records(sim, "management")] == [
+        "issue",
+        "activate",
+        "suspend",
+    ]
     assert sim.gate.management.standing("deliver-p1").status == "suspended"  # not ended
     idle = scenarios.simulation()
     idle.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
@@ -118,7 +122,11 @@ def test_a_suspension_that_is_owed_refuses_everything_until_it_is_on_disk() -> N
     report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.judged.decision.reasons == ("MISSION_SUSPENDED",)
     assert sim.gate.enforcer.settle_stops() is True
-    assert [r.link.decision for r in records(sim, "management")] == ["activate", "suspend"]
+    assert [r.link.decision for r in records(sim, "management")] == [
+        "issue",
+        "activate",
+        "suspend",
+    ]
 
 
 @pytest.mark.parametrize("is_planner", [True, False])

@@ -84,6 +84,12 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     shadow = "; SHADOW: nothing is released" if status.get("mode") == "shadow" else ""
     head = f"{status.get('robot')}: {status.get('mode')}, up {_age(status.get('uptime_ms'))}"
     lines = [head + shadow, *_mission_lines(status.get("mission"))]
+    lines += [
+        f"issued: {m.get('mid')} version {m.get('version')}, by {m.get('issuer')}, "
+        f"from {m.get('not_before')} until {m.get('expiry')}"
+        for m in status.get("issued") or []
+        if isinstance(m, dict)
+    ]
     lines += _stand_lines(status.get("stop_stands")) + _emergency_lines(status.get("emergency"))
     for lease in status.get("leases") or []:
         ticket = str(lease.get("ticket"))[:_SHORT]

@@ -78,6 +78,10 @@ class Beside(Struct, frozen=True, kw_only=True):
 class Orders(Protocol):
     """Who carries out a signed order: a store's own management, or a gate that runs."""
 
+    def issue(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
+        """Take in a mission and activate nothing."""
+        ...
+
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
         """Take in a mission and make it active."""
         ...
@@ -104,6 +108,10 @@ class Remote:
 
     def __init__(self, client: GateClient) -> None:
         self._client = client
+
+    def issue(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
+        """Take in a mission and activate nothing."""
+        return _as(Standing, self._client.issue(token, confirmation=confirmation))
 
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
         """Take in a mission and make it active."""

@@ -53,6 +53,12 @@ CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certi
 RobotOption = Annotated[
     str | None, typer.Option("--robot", help="Which gate of the folder this store is of.")
 ]
+ConfirmationOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--confirmation", help="The record of its signing (default: the one beside the token)."
+    ),
+]
 TemplateOption = Annotated[
     Path | None,
     typer.Option("--template", help="The signed template, when TOKEN is an instance of it."),
@@ -72,30 +78,48 @@ class Known(StrEnum):
 ORDER_MS = 120_000
 
 
+@app.command("issue")
+def issue_command(
+    token: TokenArgument,
+    trust: TrustOption,
+    site: SiteOption,
+    store: StoreOption,
+    confirmation: ConfirmationOption = None,
+    robot: RobotOption = None,
+    counter: CounterOption = None,
+    new: NewOption = False,
+    as_json: JsonFlag = False,
+) -> int:
+    """Hand in a signed mission, its next version, or a template's instance; activate nothing."""
+    data, said = _handed(token, confirmation)
+    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
+    return manage(place, lambda m: m.issue(data, confirmation=said), as_json=as_json)
+
+
 @app.command("activate")
 def activate_command(
     token: TokenArgument,
     trust: TrustOption,
     site: SiteOption,
     store: StoreOption,
-    confirmation: Annotated[
-        Path | None,
-        typer.Option(
-            "--confirmation", help="The record of its signing (default: the one beside the token)."
-        ),
-    ] = None,
+    confirmation: ConfirmationOption = None,
     robot: RobotOption = None,
     counter: CounterOption = None,
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Take in a signed mission, its next version, or a template's instance; make it active."""
-    data = read_file(token)
-    said = _confirmation(token, confirmation)
-    if said is None and read_token(data).kind is not Tag.INSTANCE:
-        warn("no confirmation lies beside the token: the log will say that none was given")
+    data, said = _handed(token, confirmation)
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
+
+
+def _handed(token: Path, named: Path | None) -> tuple[bytes, bytes | None]:
+    """Return a token and the record of its signing; a missing record is warned of."""
+    data, said = read_file(token), _confirmation(token, named)
+    if said is None and read_token(data).kind is not Tag.INSTANCE:
+        warn("no confirmation lies beside the token: the log will say that none was given")
+    return data, said
 
 
 def _confirmation(token: Path, named: Path | None) -> bytes | None:

@@ -56,7 +56,9 @@ class Standings:
         counted = self._missions.get(mid)
         if counted is None:
             return "" if kind != "outcome" else "an outcome of a mission that was never active"
-        if kind == "management" and isinstance(record.open.get("status"), str):
+        # an issued version has a status of its own
+        is_active = record.open.get("version", counted.version) == counted.version
+        if kind == "management" and is_active and isinstance(record.open.get("status"), str):
             counted.status = record.open["status"]
         if kind == "management" and said == "answer" and record.open.get("closes") is True:
             counted.denied.add(str(record.open.get("counter")))

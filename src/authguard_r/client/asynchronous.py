@@ -159,6 +159,10 @@ class AsyncGateClient:
         """Take in a signed mission and make it active; return its standing."""
         return await self._order(Act.ACTIVATE, token, confirmation)
 
+    async def issue(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
+        """Hand in a signed mission without activating it; return its standing."""
+        return await self._order(Act.ISSUE, token, confirmation)
+
     async def command(self, token: bytes) -> dict[str, Any]:
         """Carry out a signed command; return the mission's standing."""
         return await self._order(Act.COMMAND, token)

@@ -216,6 +216,10 @@ class GateClient:
         """Take in a signed mission and make it active; return its standing."""
         return self._order(Act.ACTIVATE, token, confirmation)
 
+    def issue(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
+        """Hand in a signed mission without activating it; return its standing."""
+        return self._order(Act.ISSUE, token, confirmation)
+
     def command(self, token: bytes) -> dict[str, Any]:
         """Carry out a signed command; return the mission's standing."""
         return self._order(Act.COMMAND, token)

@@ -107,14 +107,14 @@ class Desk:
         self._publish = publish
         self._first = first
         self._rest = rest
-        self._answered = answered
-        self._refused = refused
+        self._answered, self._refused = answered, refused
         #: the emergency road; None where no policy was signed
         self.rescues: Rescues | None = None
         #: open approval requests
         self.questions = OpenQuestions(gate, publish)
         self._acts: dict[Act, Callable[[Order], _Done]] = {
             Act.ACTIVATE: lambda o: gate.management.activate(o.token, confirmation=o.confirmation),
+            Act.ISSUE: lambda o: gate.management.issue(o.token, confirmation=o.confirmation),
             Act.COMMAND: lambda o: gate.management.command(o.token),
             Act.SELECT: lambda o: gate.management.select(o.token),
             Act.APPROVE: lambda o: gate.management.approve(o.token, why=o.why),
@@ -221,11 +221,11 @@ class Desk:
             done = self._acts[order.act](order)
         finally:
             self._motions.look()
+            self._view.mission_changed()  # a refused order may have ended an issued mission
         if isinstance(done, VerifiedApproval):
             answer: dict[str, Any] = self.questions.answered(done)
         else:
             answer = {_NAMED.get(type(done), "standing"): msgspec.to_builtins(done)}
-        self._view.mission_changed()
         self._publish({"event": "management", "act": order.act, "by": client.name})
         client.reply(number, answer)
 

@@ -29,6 +29,8 @@ from authguard_r.gate.config import GateConfig
 from authguard_r.gate.explain import explanation, is_refused_proposal, no_record
 from authguard_r.gate.liveness import Liveness, MissionPhase
 from authguard_r.gate.motions import Motions
+from authguard_r.intake import Intake
+from authguard_r.issued import issued
 from authguard_r.ledger import Act, stop_stands
 from authguard_r.report import Report
 from authguard_r.running import quietly
@@ -68,6 +70,7 @@ class View:
         self._clients = clients
         self._since_ms = gate.ledger.mono_ms()
         self._known: dict[str, Any] | None = None
+        self._issued: list[dict[str, Any]] = []
         self._changed = True
         self.counted: Counter[str] = Counter()
         self.stops = 0
@@ -138,6 +141,7 @@ class View:
             "mode": str(self._config.mode),
             "uptime_ms": self.uptime_ms,
             "mission": self._active(),
+            "issued": self._issued,
             "leases": [
                 {
                     "ticket": lease.ticket,
@@ -277,11 +281,12 @@ class View:
             return None  # revoked since, or gone: the record is explained without a change
 
     def _mission(self, act: Act) -> dict[str, Any] | None:
+        intake = self._gate.enforcer.intake
+        self._issued = [_shown_issued(act, intake, one) for one in issued(act)]
         mid = act.active()
         standing = None if mid is None else act.standing(mid)
         if standing is None:
             return None
-        intake = self._gate.enforcer.intake
         held = intake.held(act, standing.digest)
         return _shown(standing, held.mission, void=intake.lost(act, standing.digest))
 
@@ -310,6 +315,21 @@ def _written(turn: Turn) -> dict[str, int] | None:
         return None
     found = counted(turn, mid.decode("ascii", "replace"))
     return {**msgspec.to_builtins(found.growth), "counted": found.upto}
+
+
+def _shown_issued(act: Act, intake: Intake, standing: Standing) -> dict[str, Any]:
+    """Return what `status` says of an issued mission; a damaged token says nothing of itself."""
+    try:
+        mission = intake.held(act, standing.digest).mission
+    except StoreError:
+        mission = None
+    return {
+        "mid": standing.mid,
+        "version": standing.version,
+        "issuer": None if mission is None else mission.issuer,
+        "not_before": None if mission is None else mission.not_before,
+        "expiry": None if mission is None else mission.expiry,
+    }
 
 
 def _shown(standing: Standing, mission: Mission, *, void: Reason | None) -> dict[str, Any]:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The acts that give, narrow, settle or end authority; each is one record.
 
-Activation needs the signed mission itself, or an instance of a signed template. Everything else is
-a command signed by somebody who may give it: narrowing (suspend, revoke, withdraw) by the issuer or
-any safety officer, widening and settling (resume, resolve, complete) by the issuer. Source: section
-"Mission Compilation and Clarification" (updates), `alg:authguard` (the registry R).
+Handing in and activation need the signed mission itself, or an instance of a signed template.
+Everything else is a command signed by somebody who may give it: narrowing (suspend, revoke,
+withdraw) by the issuer or any safety officer, widening and settling (resume, resolve, complete) by
+the issuer. Source: section "Mission Compilation and Clarification" (updates), `alg:authguard` (the
+registry R).
 Spec page: docs/spec/standing.md#commands
 """
 
@@ -23,7 +24,7 @@ from authguard_r.core.standing import Standing
 from authguard_r.core.token import read_token
 from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
-from authguard_r.management.activation import activate
+from authguard_r.management.activation import activate, end_issued, hand_in
 from authguard_r.management.answers import take_answer
 from authguard_r.management.configurations import (
     Configuration,
@@ -78,8 +79,23 @@ class Management:
         self._intake = intake
         self._parts = Parts(intake=intake, verifier=verifier, facts=facts, sealing=sealing)
 
+    def issue(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
+        """Take in a mission, or the next version of one, and activate nothing.
+
+        It has the status `issued` and authorizes nothing until `activate` is given the same token.
+        The active mission goes on as it is.
+
+        Args:
+            token: as in `activate`.
+            confirmation: as in `activate`.
+
+        Raises:
+            AuthGuardError: as in `activate`; or too many are issued (`BUSY`).
+        """
+        return self._order(lambda act: hand_in(act, token, confirmation, parts=self._parts))
+
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
-        """Take in a mission, or the next version of the active one, and make it active.
+        """Make a mission active, or the next version of the active one; take it in if need be.
 
         Args:
             token: the signed mission, or a scheduler's signed instance of a template that was
@@ -92,13 +108,13 @@ class Management:
             AuthenticityError: certificate or signature does not hold.
             AuthGuardError: with the reason that speaks against it; nothing was changed.
         """
-        return self._do(lambda act: activate(act, token, confirmation, parts=self._parts))
+        return self._order(lambda act: activate(act, token, confirmation, parts=self._parts))
 
     def template(self, token: bytes, *, confirmation: bytes | None = None) -> TemplateStanding:
         """Take in a signed template, or carry out the signed command that withdraws one.
 
         Taking one in activates nothing and takes nothing from the active mission. Withdrawing
-        one revokes the active mission that was made of it.
+        one revokes the active and the issued missions that were made of it.
 
         Args:
             token: the signed template, or the signed `withdraw`.
@@ -110,9 +126,11 @@ class Management:
         """
 
         def job(act: Act) -> TemplateStanding:
-            if read_token(token).kind is Tag.COMMAND:
-                return withdraw(act, token, parts=self._parts)
-            return admit(act, token, confirmation, parts=self._parts)
+            if read_token(token).kind is not Tag.COMMAND:
+                return admit(act, token, confirmation, parts=self._parts)
+            gone = withdraw(act, token, parts=self._parts)
+            end_issued(act, self._parts)  # those that were made of it
+            return gone
 
         return self._do(job)
 
@@ -122,7 +140,7 @@ class Management:
         Raises:
             AuthGuardError: malformed, not authentic, not allowed, or not possible now.
         """
-        return self._do(lambda act: carry_out(act, token, parts=self._parts))
+        return self._order(lambda act: carry_out(act, token, parts=self._parts))
 
     def accept_store(self, token: bytes) -> AcceptedStore:
         """Go on with a store that was put back, as a signed order says; the counter is written.
@@ -285,6 +303,11 @@ class Management:
             return recover(act, unclean=unclean, parts=self._parts)
 
         return self._ledger.run(job, essential=True)
+
+    def _order(self, job: Callable[[Act], T]) -> T:
+        """End the issued missions that ended by themselves, for good; then carry an order out."""
+        self._do(lambda act: end_issued(act, self._parts))
+        return self._do(job)
 
     def _do(self, job: Callable[[Act], T]) -> T:
         """Carry an order out, unless the store was put back and nobody has accepted it."""

@@ -17,7 +17,9 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish, select, settle
 from authguard_r.core.token import Principal, open_token
 from authguard_r.intake import ISSUER_ROLES
+from authguard_r.issued import hold_issued, registered
 from authguard_r.ledger import Act
+from authguard_r.management.activation import end_issued
 from authguard_r.management.parts import (
     Parts,
     entry,
@@ -47,14 +49,18 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
     after = _carried_out(act, command, standing, mission)
     if after is None:
         raise refuse(Reason.TRANSITION_REFUSED, _refusal(command.verb, standing))
-    act.hold(after)
+    is_issued = standing.status is Status.ISSUED
+    if is_issued:
+        hold_issued(act, after)
+    else:
+        act.hold(after)
     if command.verb is Verb.SUSPEND:  # by the signer's clock, as the resume that ends it
         again = standing.status is Status.SUSPENDED
         hold_suspended(act, command.mid, command.issued_ms, again=again)
     act.put("command", command.nonce, b"1")
     if command.verb is Verb.RESUME:
         go_on(act)
-    if after.status in TERMINAL:
+    if after.status in TERMINAL and not is_issued:
         act.make_active(None)
         parts.intake.forget()
     opened: dict[str, object] = {
@@ -65,12 +71,17 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
         "status": after.status,
     }
     act.record(entry(act, command.mid, opened, {"command": command}))
+    if after.status in TERMINAL:
+        end_issued(act, parts, mid=command.mid)
     return after
 
 
 def _require_newest(act: Act, command: Command) -> None:
     """Refuse what would undo an order that was signed later; a release is resolved once only."""
-    key = f"{command.mid}/command"
+    known = act.standing(command.mid)
+    is_own = known is not None and known.digest == command.mission
+    # an order about a version that waits makes none about the version in force too old
+    key = f"{command.mid if is_own else command.mission}/command"
     if command.verb is Verb.RESUME:
         over_ms = halted_ms(act, command.mid)
         require_newest(act, key, command.issued_ms, over_ms=over_ms)
@@ -82,8 +93,8 @@ def _require_current(
     act: Act, command: Command, signer: Principal, parts: Parts
 ) -> tuple[Standing, Mission]:
     require_fresh(act, command)
-    standing = act.standing(command.mid)
-    if standing is None or standing.digest != command.mission:
+    standing = registered(act, command.mid, command.mission)
+    if standing is None:
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
     if not signer.scope.covers(standing.rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
@@ -144,7 +155,7 @@ def choose(act: Act, token: bytes, *, parts: Parts) -> Standing:
     named = (selection.mission, selection.version)
     if standing is None or (standing.digest, standing.version) != named:
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
-    if standing.status in TERMINAL:
+    if standing.status in {*TERMINAL, Status.ISSUED}:
         raise replayed(standing)
     require_timely(act, selection, "selection")
     require_newest(act, f"{selection.mid}/{selection.grant}/selection", selection.issued_ms)

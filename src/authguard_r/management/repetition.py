@@ -13,12 +13,13 @@ from authguard_r.commands import NARROWING, Command, Verb
 from authguard_r.core.checks.mission import binding_findings
 from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.lifecycle import TERMINAL, Event
+from authguard_r.core.lifecycle import TERMINAL, Event, Status
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
 from authguard_r.core.token import open_token
 from authguard_r.intake import ISSUER_ROLES
+from authguard_r.issued import registered
 from authguard_r.ledger import Act, read_held
 from authguard_r.management.parts import (
     Parts,
@@ -43,10 +44,17 @@ from authguard_r.templates.confirmation import template_inputs
 
 
 class Used(Struct, frozen=True, kw_only=True):
-    """One instance that counts, before anything is held."""
+    """One instance that counts, before anything is held.
+
+    Args:
+        made: the mission, and who made it.
+        kept: its template, with this instance counted.
+        is_counted: this act counts it; False: handing it in did.
+    """
 
     made: Instantiated
     kept: KeptTemplate
+    is_counted: bool = True
 
     def pair(self, token: bytes) -> bytes:
         """Return what is held under the mission's digest: both tokens, to be verified again."""
@@ -63,18 +71,21 @@ class Used(Struct, frozen=True, kw_only=True):
 
     def opened(self) -> dict[str, object]:
         """Return what the mission's record says of who made it; its issuer did nothing now."""
-        return {
+        opened: dict[str, object] = {
             "by": self.made.scheduler.id,
             "scheduler": self.made.scheduler.id,
             "issuer": self.made.mission.mission.issuer,
             "template": self.made.template.digest,
-            "instance": self.kept.used,
         }
+        return {**opened, "instance": self.kept.used} if self.is_counted else opened
 
 
 def use_instance(act: Act, token: bytes, parts: Parts) -> Used:
-    """Return the mission of an instance, counted against what its template allows."""
+    """Return the mission of an instance, counted once against what its template allows."""
     made, kept = parts.intake.verify_instance(token, act)
+    here = registered(act, made.mission.mission.mid, made.mission.digest)
+    if here is not None and here.status is Status.ISSUED:
+        return Used(made=made, kept=kept, is_counted=False)
     template = made.template.template
     if kept.used >= template.instances:
         text = f"all {template.instances} missions of `{template.template}` were made"

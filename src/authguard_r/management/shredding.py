@@ -37,7 +37,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.ledger import Act, read_held
-from authguard_r.management.activation import lapsed
+from authguard_r.management.activation import end_issued, lapsed
 from authguard_r.management.answers import LATE
 from authguard_r.management.parts import Parts, entry, refuse
 from authguard_r.management.repetition import require_fresh
@@ -284,6 +284,7 @@ def _end(act: Act, mid: MissionId, parts: Parts) -> bool:
     ended = lapsed(act, act.standing(mid), parts)
     if ended is None or ended.status not in TERMINAL or ended.open:
         return False
+    end_issued(act, parts, mid=mid)
     if act.active() == mid:
         act.make_active(None)
         parts.intake.forget()

@@ -250,6 +250,8 @@ class Act(StrEnum):
     """What an order is about; the token says the rest."""
 
     ACTIVATE = "activate"
+    #: a mission that is handed in and not activated
+    ISSUE = "issue"
     COMMAND = "command"
     SELECT = "select"
     APPROVE = "approve"
@@ -268,7 +270,7 @@ class Order(_Message, frozen=True, kw_only=True):
     Args:
         act: which kind of token follows.
         token: the signed bytes.
-        confirmation: for `activate`, the record of the signing.
+        confirmation: for `activate` and `issue`, the record of the signing.
         why: for `approve`, the approver's words; they go into the log and to no planner.
     """
 

@@ -136,6 +136,7 @@ def test_a_request_says_what_was_asked_and_returns_the_gate_s_answer(
     ("act", "kind"),
     [
         (lambda c: c.activate(b"t", confirmation=b"c"), Act.ACTIVATE),
+        (lambda c: c.issue(b"t", confirmation=b"c"), Act.ISSUE),
         (lambda c: c.command(b"t"), Act.COMMAND),
         (lambda c: c.select(b"t"), Act.SELECT),
         (lambda c: c.template(b"t", confirmation=b"c"), Act.TEMPLATE),
@@ -147,7 +148,7 @@ def test_an_order_returns_the_standing_and_nothing_else_passes_for_one(
     asked: list[Any] = []
     with listening(answering({"standing": {"mid": "m"}}, asked=asked)) as path:
         assert face(path, OPERATOR, act) == {"mid": "m"}
-    confirmed = kind in {Act.ACTIVATE, Act.TEMPLATE}
+    confirmed = kind in {Act.ACTIVATE, Act.ISSUE, Act.TEMPLATE}
     told = (asked[0].act, asked[0].token, asked[0].confirmation)
     assert told == (kind, b"t", b"c" if confirmed else None)
     with listening(answering({"standing": None})) as path:

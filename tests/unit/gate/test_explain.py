@@ -92,7 +92,7 @@ def test_a_stop_and_an_order_say_who_gave_them() -> None:
         house.stop(ClientRole.AUDITOR, 1)
         (stop,) = house.log("stop")
         assert explained(house, stop.link.seq)["who"] == "u5.auditor"
-        (order,) = house.log("management")
+        _, order = house.log("management")
         told = explained(house, order.link.seq)
         assert (told["what"], told["who"]) == ("mission deliver-p1 version 1", "operator-1")
         assert "management activate: mission deliver-p1 version 1 (by " in told["text"][0]

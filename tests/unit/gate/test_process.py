@@ -236,7 +236,7 @@ def test_a_clean_end_stops_what_moves_and_the_next_start_finds_the_mission_activ
 
     served(again, look)
     assert planners == []
-    assert [r.link.decision for r in records(made, "management")] == ["activate"]
+    assert [r.link.decision for r in records(made, "management")] == ["issue", "activate"]
 
 
 def test_a_shadow_gate_releases_nothing_and_marks_every_record(
