@@ -336,13 +336,9 @@ class Intake:
         if verified.approval in same:  # one answer has many signatures, and counts once
             return False
         if len(same) >= _MOST_ANSWERS:
-            raise RefusedError(
-                f"`{verified.approver.id}` has said this often enough",
-                reason=Reason.BUSY,
-                where="approval",
-            )
-        text = token.decode("ascii").strip()
-        act.put("approvals", key, encode_fast((*tokens, text)))
+            text = f"`{verified.approver.id}` has said this often enough"
+            raise RefusedError(text, reason=Reason.BUSY, where="approval")
+        act.put("approvals", key, encode_fast((*tokens, token.decode("ascii").strip())))
         return True
 
     def _require_one_name(self, token: bytes, others: tuple[str, ...]) -> None:
