@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from random import Random
 
@@ -14,6 +15,7 @@ from authguard_r.core.mission import ProtectedField
 from authguard_r.core.reasons import DECIDED, ORDER, Reason
 from authguard_reference.reasons import FIELD_OF as ORACLE_FIELD_OF
 from authguard_reference.reasons import FIELDS as ORACLE_FIELDS
+from fixtures import scenarios
 from fixtures.decision_cases import ALONE, accepted_case, decide_case
 
 #: The fields that the paper protects.
@@ -44,6 +46,25 @@ def test_a_hijacked_destination_deviates_by_one_field_of_fifteen() -> None:
     assert deviation(hijacked.reasons, {}) == Fraction(1, 15)
     assert deviation(hijacked.reasons, {ProtectedField.DESTINATION: 6}) == Fraction(6, 20)
     assert deviation(hijacked.reasons, {ProtectedField.OBJECT: 6}) == Fraction(1, 20)
+
+
+def test_the_page_of_fields_is_the_table() -> None:
+    page = (scenarios.ROOT / "docs" / "spec" / "reason-codes.md").read_text(encoding="utf-8")
+    told: dict[str, set[Reason]] = {}
+    for line in page.partition("## Protected fields")[2].splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if cells[0] in FIELDS:
+            told[cells[0]] = set(map(Reason, re.findall("`([A-Z_]+)`", cells[1])))
+    for first, last in re.findall(
+        "from `([A-Z_]+)` to `([A-Z_]+)`", page.partition("| mission |")[2]
+    ):
+        told["mission"] |= {
+            r for r in Reason if ORDER[Reason(first)] <= ORDER[r] <= ORDER[Reason(last)]
+        }
+    assert told == {
+        str(field): {reason for reason, one in FIELD_OF.items() if one is field}
+        for field in ProtectedField
+    }
 
 
 def test_two_codes_of_one_field_count_once() -> None:
