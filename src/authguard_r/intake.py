@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from authguard_r.anchoring.anchor import Anchor
 from authguard_r.approvals import open_approval, open_preapproval
-from authguard_r.approvals.consents import Consents, GivenApprovals
+from authguard_r.approvals.preapprovals import PreApprovalStore, VerifiedApprovals
 from authguard_r.audit.record import Entry
 from authguard_r.core.approval import Verdict, VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.encoding import Tag, encode_fast, unb64
@@ -104,8 +104,8 @@ class Intake:
         self._source = source
         self._facts = facts
         self._verified: dict[Digest, VerifiedMission] = {}
-        #: What principals consented to before anybody asked.
-        self.consents = Consents(verifier)
+        #: Pre-approvals of missions.
+        self.preapprovals = PreApprovalStore(verifier)
         self._state: AttestedState | None = None
         self._seen: bytes | None = None
         self._held: bytes | None = None
@@ -304,7 +304,7 @@ class Intake:
     def forget(self) -> None:
         """Drop every kept mission: after a revocation the next action verifies anew."""
         self._verified.clear()
-        self.consents.forget()
+        self.preapprovals.forget()
 
     def verify_answer(self, act: Act, token: bytes) -> VerifiedApproval:
         """Return the answer in a token, at the act's time.
@@ -363,19 +363,19 @@ class Intake:
             chain = tuple(unb64(der, where="token.endorsements") for der in endorsement.chain)
             yield self._verifier.bearer(chain)
 
-    def answers(self, act: Act, standing: Standing | None) -> GivenApprovals:
+    def answers(self, act: Act, standing: Standing | None) -> VerifiedApprovals:
         """Return every kept answer to an open request, and pre-approval, that is authentic now."""
         found: list[tuple[VerifiedApproval, str]] = []
         for request in () if standing is None else standing.requests.values():
             held = act.get("approvals", f"{standing.mid}:{request.counter}") if standing else None
             tokens = read_held(held, tuple[str, ...], "approvals") if held else ()
             found += self._authentic(act, tokens)
-        consents = () if standing is None else self.consents.kept(act, standing, act.now)
-        return GivenApprovals(
+        stored = () if standing is None else self.preapprovals.kept(act, standing, act.now)
+        return VerifiedApprovals(
             approvals=tuple(one for one, _ in found),
             tokens=tuple(token for _, token in found),
-            preapprovals=tuple(one for one, _ in consents),
-            consents={one.digest: token for one, token in consents},
+            preapprovals=tuple(one for one, _ in stored),
+            preapproval_tokens={one.digest: token for one, token in stored},
         )
 
     def verify_preapproval(self, act: Act, token: bytes) -> VerifiedPreApproval:

@@ -78,7 +78,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
         facts: site, robot and the organization's policies.
         values: what the record sealed: action, state, now, standing.
         approvals: the answers, opened.
-        preapprovals: what was consented to before anybody asked, opened.
+        preapprovals: pre-approvals that decisions rest on, opened.
         ends_known: every revocation list of then is at hand, so the end above is exact.
         safety: the safety gate's configuration; None: it is not in the log.
     """
@@ -201,8 +201,8 @@ class Sources:
                 issuer=self._issuer(digest, kept, beside.now),
                 facts=self._plain_facts,
                 values=values,
-                approvals=self._answers(beside, is_consent=False),
-                preapprovals=self._answers(beside, is_consent=True),
+                approvals=self._answers(beside, is_preapproval=False),
+                preapprovals=self._answers(beside, is_preapproval=True),
                 ends_known=self._trust is not None and not self._has_unknown_lists(),
                 safety=self.second.config,
             )
@@ -349,14 +349,14 @@ class Sources:
             self._missions[digest] = kept
         return kept.issuer
 
-    def _answers(self, beside: _Beside, *, is_consent: bool) -> list[dict[str, Any]]:
-        """Return what people said when they were asked, or consented to before that."""
+    def _answers(self, beside: _Beside, *, is_preapproval: bool) -> list[dict[str, Any]]:
+        """Return the answers that were looked at, or the pre-approvals."""
         trust: Any = self._trust
-        opened = partial(open_preapproval if is_consent else open_approval, verifier=trust)
+        opened = partial(open_preapproval if is_preapproval else open_approval, verifier=trust)
         return [
             plain(opened(self._known(token), now=beside.now))
             for token in (beside.approvals if trust is not None else ())  # else none counted
-            if (read_token(as_token(token)).kind is Tag.PREAPPROVAL) is is_consent
+            if (read_token(as_token(token)).kind is Tag.PREAPPROVAL) is is_preapproval
         ]
 
     def _known(self, token: Any) -> bytes:

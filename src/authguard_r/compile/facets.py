@@ -15,7 +15,7 @@ from msgspec import Struct
 from authguard_r.compile import spoken
 from authguard_r.core.identifiers import ActionType
 from authguard_r.core.mission import Closing, Grant, Guard, Limit, Mission, RiskPolicy
-from authguard_r.core.provenance import MOST, Chooser, SourceField
+from authguard_r.core.provenance import WIDEST, Chooser, SourceField
 from authguard_r.core.quantities import to_ms
 from authguard_r.site.model import Site
 
@@ -191,7 +191,7 @@ def _sources(mission: Mission) -> Iterator[Named]:
     """Yield the labels that may set each field, and how long sealed fields are kept."""
     signed = mission.sources
     for field in SourceField:
-        for label in signed.get(field, tuple(sorted(MOST[field]))):
+        for label in signed.get(field, tuple(sorted(WIDEST[field]))):
             yield _there("", f"{field} may be set by", label, Bears.WIDENS)
     for data, kept_ms in mission.retention.items():
         yield _plain(f"sealed {data} fields are kept for", spoken.duration(kept_ms))

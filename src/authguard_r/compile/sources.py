@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
 
 from authguard_r.audit.deviation import Weights
 from authguard_r.compile.draft import Quantity
@@ -13,11 +12,14 @@ from authguard_r.core.checks.provenance import wider_sources
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.mission import DataClass, ProtectedField
-from authguard_r.core.provenance import MOST, Label, SourceField, allowed_of
+from authguard_r.core.provenance import WIDEST, Label, SourceField, allowed_of
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
+from authguard_r.site.sources import require_source_words, require_word
 
 _MS = "ms"
+#: So many digits at least no whole number of the encoding has.
+_DIGITS = 17
 
 
 def build_sources(given: Mapping[str, tuple[str, ...]], site: Site) -> dict[str, list[str]]:
@@ -26,16 +28,10 @@ def build_sources(given: Mapping[str, tuple[str, ...]], site: Site) -> dict[str,
     Raises:
         MalformedError: no field or no label of that name, or a set wider than the site's.
     """
-    for field, labels in given.items():
-        _require_known(field, SourceField, f"sources.{field}")
-        if not labels:
-            text = "expected at least one label: who may set nothing needs no grant"
-            raise MalformedError(text, where=f"sources.{field}", reason=Reason.SCHEMA_INVALID)
-        for number, label in enumerate(labels):
-            _require_known(label, Label, f"sources.{field}[{number}]")
+    require_source_words(dict(given), where="sources")
     signed = {SourceField(field): tuple(map(Label, labels)) for field, labels in given.items()}
     for field in wider_sources(allowed_of(signed), allowed_of(site.sources)):
-        allowed = ", ".join(site.sources.get(field, sorted(MOST[field])))
+        allowed = ", ".join(site.sources.get(field, sorted(WIDEST[field])))
         text = f"expected labels that the site allows: {allowed}"
         raise MalformedError(text, where=f"sources.{field}", reason=Reason.PROVENANCE_DENIED)
     return {field: sorted(set(labels)) for field, labels in given.items()}
@@ -48,7 +44,7 @@ def build_retention(given: Mapping[str, Quantity], asked: Questions) -> dict[str
         MalformedError: no class of that name.
     """
     for data in given:
-        _require_known(data, DataClass, f"retention.{data}")
+        require_word(data, DataClass, f"retention.{data}")
     kept = {
         data: asked.integer(length, _MS, field=f"retention.{data}")
         for data, length in given.items()
@@ -67,7 +63,7 @@ def read_weights(given: Mapping[str, object], *, where: str) -> Weights:
         MalformedError: with the place: no protected field, or no whole number above zero.
     """
     for name, weight in given.items():
-        _require_known(name, ProtectedField, f"{where}.{name}")
+        require_word(name, ProtectedField, where)
         if type(weight) is not int or not 0 < weight <= MAX_INTEGER:
             text = f"expected a whole number above zero, got `{weight}`"
             raise MalformedError(text, where=f"{where}.{name}", reason=Reason.VALUE_INVALID)
@@ -80,13 +76,12 @@ def given_weights(texts: Iterable[str], *, where: str) -> Weights:
     Raises:
         MalformedError: as `read_weights`.
     """
-    pairs = [text.partition("=") for text in texts]
-    wholes = {name: int(n) for name, _, n in pairs if n.isascii() and n.isdecimal() and len(n) < 17}
-    return read_weights({name: wholes.get(name, n) for name, _, n in pairs}, where=where)
-
-
-def _require_known(name: str, known: type[StrEnum], where: str) -> None:
-    names: Iterable[str] = known
-    if name not in set(names):
-        text = f"expected one of {', '.join(known)}, got `{name}`"
-        raise MalformedError(text, where=where, reason=Reason.NAME_UNKNOWN)
+    given: dict[str, object] = {}
+    for text in texts:
+        name, equals, number = text.partition("=")
+        if not equals or name in given:
+            fault = f"expected FIELD=N, each field once, got `{text[:80]}`"
+            raise MalformedError(fault, where=where, reason=Reason.VALUE_INVALID)
+        is_whole = number.isascii() and number.isdecimal() and len(number) < _DIGITS
+        given[name] = int(number) if is_whole else number
+    return read_weights(given, where=where)

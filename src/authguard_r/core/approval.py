@@ -53,10 +53,10 @@ class Approval(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class PreApproval(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One principal's consent to a class of actions before anybody asks: some rows of one grant.
+    """One principal's approval of a class of actions in advance: some rows of one grant.
 
-    It covers the second line of `eq:threshold` only. On the third line each action needs
-    approvals of its own. Source: section "Threshold Approval Cost" (narrow approval cache).
+    It covers tier 2 of `eq:threshold` only. On tier 3 each action needs approvals of its own.
+    Source: section "Threshold Approval Cost" (narrow approval cache).
 
     Args:
         mid: the mission.

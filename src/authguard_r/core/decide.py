@@ -54,7 +54,7 @@ def decide(
         now: read once by the caller.
         standing: the registry's entry for this mission, read in the same turn.
         approvals: authentic answers; those that do not fit are not counted.
-        preapprovals: authentic consents given before anybody asked; likewise.
+        preapprovals: authentic pre-approvals; likewise.
 
     Source: `alg:authguard`, `eq:auth-predicate`.
     """
@@ -81,14 +81,14 @@ def decide(
     # (7) approval
     grant = match.indexed.grant
     need = assess_need(case, grant)
-    asked, consent = check_approval(case, grant, need), None
-    if asked and asked[0].reason is not Reason.APPROVAL_DENIED:
-        consent = find_preapproval(case, grant, match.row, need)
-    found += () if consent is not None else asked
+    missing, stands_in = check_approval(case, grant, need), None
+    if missing and missing[0].reason is not Reason.APPROVAL_DENIED:
+        stands_in = find_preapproval(case, grant, match.row, need)
+    found += () if stands_in is not None else missing
     # (8) update and append: `enforcement`
     if not found:
         # (9) accept
-        used = None if consent is None else consent.digest
+        used = None if stands_in is None else stands_in.digest
         return Decision(
             verdict=Verdict.ACCEPT, findings=(), match=match, need=need, preapproved=used
         )

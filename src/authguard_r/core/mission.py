@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 
 from authguard_r.core import identifiers as ids
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.provenance import MOST, Chooser, Label, SourceField
+from authguard_r.core.provenance import WIDEST, Chooser, Label, SourceField
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 
@@ -371,8 +371,11 @@ def source_faults(sources: Sources) -> Iterator[tuple[str, str]]:
     """Yield where AllowedSrc names a label twice, or one that the paper's bound leaves out."""
     for field, labels in sources.items():
         yield from _set(f"sources.{field}", labels)
-        if not MOST[field].issuperset(labels):
-            yield f"sources.{field}", f"expected labels of {', '.join(sorted(MOST[field]))}"
+        if not WIDEST[field].issuperset(labels):
+            yield (
+                f"sources.{field}",
+                f"expected labels of {', '.join(sorted(WIDEST[field]))}",
+            )
 
 
 def _rising(items: tuple[str, ...]) -> bool:

@@ -78,7 +78,7 @@ _ATTESTED = frozenset({Label.TRUSTED_SENSOR})
 _ANY = frozenset(Label)
 #: The widest source set that can be signed for each field; what stands when none is signed, but
 #: for object and destination (`core.checks.provenance.allowed_sources`).
-MOST: dict[SourceField, frozenset[Label]] = {
+WIDEST: dict[SourceField, frozenset[Label]] = {
     **dict.fromkeys(SourceField, _ANY),
     SourceField.RECORDING: SIGNED,
     SourceField.APPROVAL_THRESHOLD: SIGNED,

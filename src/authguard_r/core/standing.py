@@ -183,9 +183,9 @@ def reserve(
         per_ms: the rate window; older releases are forgotten.
         preapproved: digest of the pre-approval that the decision rests on; None: on none.
     """
-    use, consents = use_of(standing, grant.id), standing.preapproved
+    use, used = use_of(standing, grant.id), standing.preapproved
     if preapproved is not None:
-        consents = {**consents, preapproved: consents.get(preapproved, 0) + 1}
+        used = {**used, preapproved: used.get(preapproved, 0) + 1}
     recent = tuple(at for at in standing.releases if at > now.mono_ms - per_ms)
     return _with(
         standing,
@@ -195,7 +195,7 @@ def reserve(
         releases=(*recent, now.mono_ms),
         open=(*standing.open, OpenRelease(ticket=ticket, grant=grant.id, reserved=spend)),
         requests={g: r for g, r in standing.requests.items() if g != grant.id},
-        preapproved=consents,
+        preapproved=used,
     )
 
 

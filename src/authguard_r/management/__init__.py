@@ -194,8 +194,8 @@ class Management:
         Raises:
             AuthGuardError: malformed, not authentic, or not the signer's to make.
         """
-        is_consent = read_token(token).kind is Tag.PREAPPROVAL
-        taken = preapprove if is_consent else choose
+        is_preapproval = read_token(token).kind is Tag.PREAPPROVAL
+        taken = preapprove if is_preapproval else choose
         return self._do(lambda act: taken(act, token, parts=self._parts))
 
     def approve(self, token: bytes, *, why: str = "") -> VerifiedApproval:

@@ -20,7 +20,7 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.lifecycle import REFUSAL, TERMINAL, Event, Status
 from authguard_r.core.mission import Mission
-from authguard_r.core.provenance import MOST
+from authguard_r.core.provenance import WIDEST
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, advance, carry_over, issue
 from authguard_r.core.token import VerifiedMission, read_token
@@ -236,7 +236,7 @@ def require_bound(mission: Mission, facts: SiteFacts) -> None:
 def require_sources(verified: VerifiedMission, facts: SiteFacts) -> None:
     """Refuse a mission that lets a field be set from a source that the site does not allow."""
     for field in wider_sources(verified.sources, facts.sources):
-        allowed = ", ".join(sorted(facts.sources.get(field, MOST[field])))
+        allowed = ", ".join(sorted(facts.sources.get(field, WIDEST[field])))
         text = f"expected labels that the site allows: {allowed}"
         raise refuse(Reason.PROVENANCE_DENIED, text, f"mission.sources.{field}")
 

@@ -50,7 +50,7 @@ def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
     require_newest(act, f"{said.mid}/{grant.id}/{item.approver.id}/preapproval", said.issued_ms)
     require_signed_since(act, said.issued_ms)
     text = token.decode("ascii").strip()
-    kept = parts.intake.consents.keep(act, item, text, act.now)
+    kept = parts.intake.preapprovals.keep(act, item, text, act.now)
     held = replace(standing, preapproved={one: standing.preapproved.get(one, 0) for one in kept})
     act.hold(held)
     opened: dict[str, object] = {

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from authguard_r.core.provenance import MOST, TRUST, Label, SourceField
+from authguard_r.core.provenance import TRUST, WIDEST, Label, SourceField
 from authguard_r.site.channels import CHANNELS
 from authguard_r.site.model import Site
 from authguard_r.site.names import named, shown
@@ -136,7 +136,7 @@ def _channels(old: dict[str, str], new: dict[str, str]) -> Iterator[Change]:
 def _sources(old: Site, new: Site) -> Iterator[Change]:
     """Yield the fields that more or fewer labels may set than before."""
     for field in SourceField:
-        was, now = (site.sources.get(field, tuple(sorted(MOST[field]))) for site in (old, new))
+        was, now = (site.sources.get(field, tuple(sorted(WIDEST[field]))) for site in (old, new))
         if was != now:
             effect = Effect.NARROWS if set(now) < set(was) else Effect.WIDENS
             yield _change(effect, ("sources", str(field)), list(was), list(now))

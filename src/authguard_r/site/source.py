@@ -15,6 +15,7 @@ from authguard_r.core.identifiers import is_identifier
 from authguard_r.site.check import faults
 from authguard_r.site.model import ActionModel, ObjectModel, Person, Region, Robot, Site
 from authguard_r.site.names import shown
+from authguard_r.site.sources import require_source_words
 from authguard_r.site.strict import as_text, convert, read_text, read_yaml, require_each
 from authguard_r.site.words import with_words
 
@@ -51,6 +52,8 @@ def parse_site(text: str, *, where: str) -> Site:
     data = with_words(read_yaml(text, where=where), where=where)
     for group, kind in _GROUPS:
         _require_things(data, group, kind, where=where)
+    if isinstance(data, dict) and "sources" in data:
+        require_source_words(data["sources"], where=f"{where}:sources")
     return convert(data, Site, where=where)
 
 

@@ -98,7 +98,7 @@ def find_preapproval(case: Case, grant: Grant, row: Row, need: Need) -> Verified
 
 
 def _covers(item: VerifiedPreApproval, case: Case, grant: Grant, row: Row, need: Need) -> bool:
-    """True when the consent is to this grant, row and risk of this mission, and is not used up."""
+    """True when it is for this grant, row and risk of this mission, and is not used up."""
     said, mission = item.preapproval, case.verified.mission
     bound = (
         (said.mid, said.grant, said.rid) == (mission.mid, grant.id, case.facts.robot.rid)

@@ -26,7 +26,7 @@ class Case(Struct, frozen=True, kw_only=True):
         now: the instant of the decision.
         standing: the registry's entry, None when there is none.
         approvals: authentic answers of principals; whether they fit is decided here.
-        preapprovals: the same, of what principals consented to before anybody asked.
+        preapprovals: authentic pre-approvals of principals; likewise.
     """
 
     verified: VerifiedMission

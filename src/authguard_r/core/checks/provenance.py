@@ -18,9 +18,9 @@ from authguard_r.core.checks.case import Case
 from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.mission import Grant, Row
 from authguard_r.core.provenance import (
-    MOST,
     SIGNED,
     UNTRUSTED,
+    WIDEST,
     AllowedSources,
     Chooser,
     Label,
@@ -56,7 +56,7 @@ def allowed_sources(field: SourceField, case: Case, grant: Grant) -> frozenset[L
 
     An unknown label, None, is allowed where every label is: it can be none that is not.
     """
-    allowed: frozenset[Label | None] = MOST[field]
+    allowed: frozenset[Label | None] = WIDEST[field]
     if field in CHOSEN and grant.chooser is not Chooser.PLANNER:
         several = len(grant.alternatives) > 1
         allowed = SIGNED | {Label.TRUSTED_SENSOR} if several else SIGNED
@@ -67,19 +67,19 @@ def allowed_sources(field: SourceField, case: Case, grant: Grant) -> frozenset[L
 
 def wider_sources(mission: AllowedSources, site: AllowedSources) -> tuple[SourceField, ...]:
     """Return the fields for which a mission names a label that its site does not allow."""
-    return tuple(field for field in mission if mission[field] - site.get(field, MOST[field]))
+    return tuple(field for field in mission if mission[field] - site.get(field, WIDEST[field]))
 
 
 def _all_labels(case: Case, indexed: IndexedGrant) -> Iterator[tuple[SourceField, Label | None]]:
     """Yield the label of each field that this action sets, or that this grant lets it use."""
     kind, issuer = case.kind, case.verified.issuer.label
-    yield SourceField.TYPE, _proposed(case, "type")
-    yield SourceField.TOOL, _proposed(case, "tool")
+    yield SourceField.TYPE, _action_label(case, "type")
+    yield SourceField.TOOL, _action_label(case, "tool")
     yield from _chosen_labels(case, indexed.grant)
     if case.action.route:
-        yield SourceField.ROUTE, _proposed(case, "route")
+        yield SourceField.ROUTE, _action_label(case, "route")
     if any(limit.low != limit.high for limit in indexed.grant.limits):
-        yield SourceField.PARAMETERS, _proposed(case, "params")
+        yield SourceField.PARAMETERS, _action_label(case, "params")
     if kind is not None and (kind.records or kind.stores or kind.transmits):
         yield SourceField.RECORDING, issuer
     yield SourceField.APPROVAL_THRESHOLD, issuer
@@ -95,7 +95,7 @@ def _chosen_labels(case: Case, grant: Grant) -> Iterator[tuple[SourceField, Labe
         elif len({getattr(row, field) for row in left}) == 1:
             label = Label.TRUSTED_SENSOR
         else:
-            label = _proposed(case, field)
+            label = _action_label(case, field)
         yield SourceField(field), label
 
 
@@ -106,7 +106,7 @@ def signed_by(field: str, grant: Grant, rows: tuple[Row, ...], issuer: Label) ->
     return Label.SUPERVISOR if grant.chooser is Chooser.SUPERVISOR else Label.OPERATOR
 
 
-def _proposed(case: Case, field: str) -> Label | None:
+def _action_label(case: Case, field: str) -> Label | None:
     """Return the label of a value that nobody but the planner set; None: nobody said which."""
     label = case.action.provenance.get(field)
     return label if label in UNTRUSTED else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people consented to before anybody asked: one of each signer for each grant is kept.
+"""Pre-approvals: the store keeps one of each signer for each grant.
 
 Spec page: docs/spec/approval.md#pre-approval
 """
@@ -26,28 +26,28 @@ from authguard_r.core.standing import Standing
 #: Where the store holds them, by mission; the most of one mission version.
 KIND, MOST_KEPT = "preapprovals", 64
 #: A verified pre-approval and the token that it came in.
-Kept = tuple[VerifiedPreApproval, str]
+StoredPreApproval = tuple[VerifiedPreApproval, str]
 
 
-class GivenApprovals(Struct, frozen=True, kw_only=True):
+class VerifiedApprovals(Struct, frozen=True, kw_only=True):
     """What people said: verified, and as the tokens that it came in.
 
     Args:
         approvals: answers to open requests.
         tokens: theirs.
-        preapprovals: what was consented to before anybody asked.
-        consents: the token of each, by its digest.
+        preapprovals: pre-approvals.
+        preapproval_tokens: the token of each pre-approval, by its digest.
     """
 
     approvals: tuple[VerifiedApproval, ...] = ()
     tokens: tuple[str, ...] = ()
     preapprovals: tuple[VerifiedPreApproval, ...] = ()
-    consents: dict[Digest, str] = {}
+    preapproval_tokens: dict[Digest, str] = {}
 
     def used_by(self, decision: Decision) -> tuple[str, ...]:
         """Return the tokens of every answer, and of the pre-approval that a decision rests on."""
         used = decision.preapproved
-        return self.tokens if used is None else (*self.tokens, self.consents[used])
+        return self.tokens if used is None else (*self.tokens, self.preapproval_tokens[used])
 
 
 class Values(Protocol):
@@ -62,7 +62,7 @@ class Values(Protocol):
         ...
 
 
-class Consents:
+class PreApprovalStore:
     """Keeps pre-approvals, and verifies each once until revocation lists change.
 
     Args:
@@ -102,11 +102,11 @@ class Consents:
         turn.put(KIND, said.mid, encode_fast([text for _, text in others]))
         return tuple(one.digest for one, _ in others)
 
-    def kept(self, turn: Values, standing: Standing, now: Now) -> tuple[Kept, ...]:
+    def kept(self, turn: Values, standing: Standing, now: Now) -> tuple[StoredPreApproval, ...]:
         """Return the pre-approvals of a mission that are authentic now."""
         return tuple(self._held(turn, standing.mid, now)) if standing.preapproved else ()
 
-    def _held(self, turn: Values, mid: MissionId, now: Now) -> Iterator[Kept]:
+    def _held(self, turn: Values, mid: MissionId, now: Now) -> Iterator[StoredPreApproval]:
         held = turn.get(KIND, mid)
         try:
             tokens = decode(held, tuple[str, ...], where=f"store.{KIND}") if held else ()
