@@ -190,7 +190,7 @@ def is_covered(
     risk: int,
     required: int,
     policies: list[Json],
-    consent: Json,
+    item: Json,
     issuer: Json,
     action: Json,
     robot: Json,
@@ -207,7 +207,7 @@ def is_covered(
         risk: rho(a, s).
         required: Req(a, s).
         policies: The policies, for the roles that each of them wants.
-        consent: The pre-approval, its digest and its approver.
+        item: The pre-approval, its digest and its approver.
         issuer: The mission's issuer.
         action: The normalized action.
         robot: The gate's own robot.
@@ -217,15 +217,15 @@ def is_covered(
     Returns:
         True when it does.
     """
-    said, approver = consent["preapproval"], consent["approver"]
+    said, approver = item["preapproval"], item["approver"]
     expected = binding_of(mission, digest, grant, action, robot=robot)
     del expected["scope"]
-    used = (standing or {}).get("preapproved", {}).get(consent["digest"], 0)
+    left = (standing or {}).get("preapproved", {}).get(item["digest"], 0)
     return (
         all(said[field] == value for field, value in expected.items())
         and row in said["rows"]
         and risk <= said["most_risk"]
-        and used < said["uses"]
+        and left > 0
         and now["utc_ms"] <= said["expires_ms"]
         and now["utc_ms"] <= approver["usable_until_ms"]
         and all(approver["role"] in policy["roles"] for policy in policies)
@@ -272,7 +272,7 @@ def step_7(
     approvals: list[Json],
     preapprovals: list[Json],
     issuer: Json | None = None,
-) -> tuple[list[str], int, int]:
+) -> tuple[list[str], int, int, str | None]:
     """Carry out step 7, approval, for the matched grant.
 
     Args:
@@ -286,11 +286,12 @@ def step_7(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
-        preapprovals: What was consented to before anybody asked.
+        preapprovals: What was itemed to before anybody asked.
         issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
-        At most one violation, Req(a, s) and rho(a, s).
+        At most one violation, Req(a, s), rho(a, s) and the digest of the pre-approval that stands
+        in for the approvals, or None.
     """
     policies = policies_of(mission, facts)
     wanted = []
@@ -315,11 +316,12 @@ def step_7(
         now=now,
         prompts=prompts,
     )
-    if finding not in ("", "APPROVAL_DENIED") and tier == 2:
+    is_denied = request is not None and request.get("denied", False)
+    if finding not in ("", "APPROVAL_DENIED") and tier == 2 and not is_denied:
         seen: Json = {"policies": policies, "action": action, "now": now, "standing": standing}
         seen |= {"issuer": issuer or {"id": mission["issuer"]}, "robot": facts["robot"]}
-        for consent in preapprovals:
-            held: Json = {"consent": consent, "risk": risk, "required": required, **seen}
+        for item in preapprovals:
+            held: Json = {"item": item, "risk": risk, "required": required, **seen}
             if is_covered(mission, digest, grant, row, **held):
-                finding = ""
-    return ([finding] if finding != "" else []), required, risk
+                return [], required, risk, item["digest"]
+    return ([finding] if finding != "" else []), required, risk, None

@@ -217,14 +217,15 @@ def decide(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
-        preapprovals: Authentic consents that were given before anybody asked.
+        preapprovals: Authentic pre-approvals.
         issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
-        Verdict, reasons in ORDER, grant id, row index, required approvals and risk.
+        Verdict, reasons in ORDER, grant id, row index, required approvals, risk and the digest of
+        the pre-approval that an acceptance rests on.
     """
     if now["utc_ms"] > usable_until_ms:  # step 1
-        return result(["CERTIFICATE_EXPIRED"], None, None, None, None)
+        return {**result(["CERTIFICATE_EXPIRED"], None, None, None, None), "preapproved": None}
     found = time_findings(mission, now)  # step 3
     found += registry_findings(mission, digest, standing)  # step 4
     found += robot_findings(mission, facts)  # step 5
@@ -233,10 +234,11 @@ def decide(
     label = label_of_signer((issuer or {}).get("role", "operator"))
     grant, row, of_match = match(mission, standing=standing, issuer=label, **seen)  # step 6
     said: Json = {"approvals": approvals, "preapprovals": preapprovals or []}
-    of_approval, required, risk = step_7(
+    of_approval, required, risk, used = step_7(
         mission, digest, grant, row, standing=standing, issuer=issuer, **said, **seen
     )
-    return result(found + of_match + of_approval, grant["id"], row, required, risk)  # step 9
+    decided = result(found + of_match + of_approval, grant["id"], row, required, risk)  # step 9
+    return {**decided, "preapproved": used if decided["verdict"] == "accept" else None}
 
 
 def result(

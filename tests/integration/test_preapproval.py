@@ -108,7 +108,7 @@ def test_each_release_uses_one_and_the_next_one_asks(bench: Bench) -> None:
     assert approvals.outcome(scene) == []
     standing = scene.standing()
     assert standing is not None
-    assert standing.preapproved == {digest_of(Tag.PREAPPROVAL, said): 1}
+    assert standing.preapproved == {digest_of(Tag.PREAPPROVAL, said): 0}
     back(bench, scene)
     asks(scene)
 
@@ -177,13 +177,53 @@ def test_withdrawn_by_its_signer_it_is_worth_nothing(bench: Bench) -> None:
     assert error.value.reason is Reason.ORDER_TOO_OLD
 
 
-def test_a_denial_of_the_very_action_outweighs_it(bench: Bench) -> None:
+def test_a_denial_withdraws_what_was_approved_in_advance(bench: Bench) -> None:
+    """The attack: propose once more, or a little slower, after somebody denied."""
+    scene = approvals.scene(bench, TO)
+    asks(scene)
+    hand_in(bench, scene, consent(scene))
+    scene.sim.robot.pause(10)
+    approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    scene.plan = approvals.plan(TO, speed=0.7)
+    asks(scene)
+    scene.plan = approvals.plan(TO)
+    asks(scene)
+    old = consent(scene, issued_ms=scene.sim.robot.wall_ms() - 60_000)
+    assert refused(bench, scene, old, "supervisor-2") == ("ORDER_TOO_OLD", "preapproval.issued_ms")
+    scene.sim.robot.pause(10)
+    hand_in(bench, scene, consent(scene))
+    assert approvals.outcome(scene) == []
+    assert moved(scene)
+
+
+def test_while_an_action_of_the_grant_is_denied_nothing_approved_in_advance_counts(
+    bench: Bench,
+) -> None:
     scene = approvals.scene(bench, TO)
     asks(scene)
     approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    scene.sim.robot.pause(10)
     hand_in(bench, scene, consent(scene))
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
     assert not moved(scene)
+
+
+def test_signed_by_a_clock_that_runs_ahead_it_is_refused(bench: Bench) -> None:
+    """The attack: withdrawn or used up, it would be newer than anything signed since."""
+    scene = approvals.scene(bench, TO)
+    ahead = consent(scene, issued_ms=scene.sim.robot.wall_ms() + 10**10)
+    found = refused(bench, scene, ahead, "supervisor-1")
+    assert found == ("NOT_YET_VALID", "preapproval.issued_ms")
+
+
+def test_an_issued_mission_takes_none(bench: Bench) -> None:
+    scene = approvals.scene(bench, TO)
+    sim = bench.simulation()
+    sim.gate.management.issue(bench.sign(scene.mission))
+    waiting = Scene(sim=sim, mission=scene.mission, plan=scene.plan)
+    with pytest.raises(AuthGuardError) as error:
+        hand_in(bench, waiting, consent(waiting))
+    assert error.value.reason is Reason.MISSION_NOT_ACTIVE
 
 
 def test_a_signer_revoked_since_then_does_not_count(bench: Bench) -> None:

@@ -12,7 +12,7 @@ from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.quantities import Now
 from fixtures import decision_cases, scenarios
 from fixtures.decision_cases import ALONE, Case, plain
-from making.sources import CONSENTS, SOURCES, deviations
+from making.sources import PREAPPROVALS, SOURCES, deviations
 
 Json = dict[str, Any]
 
@@ -141,7 +141,7 @@ def gate_vectors() -> Json:
         lost = name.startswith("an approver without")
         kind, reason = ("alone" if lost else "near miss"), "APPROVAL_REQUIRED"
         vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
-    for reason, cases in (("PROVENANCE_DENIED", SOURCES), ("APPROVAL_REQUIRED", CONSENTS)):
+    for reason, cases in (("PROVENANCE_DENIED", SOURCES), ("APPROVAL_REQUIRED", PREAPPROVALS)):
         for name, (build, accepted) in cases.items():
             kind = "near miss" if accepted else "alone"
             vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
@@ -169,6 +169,7 @@ def gate_vector(
                     "grant": None if decision.match is None else decision.match.indexed.grant.id,
                     "required": None if decision.need is None else decision.need.required,
                     "risk": None if decision.need is None else decision.need.risk,
+                    "preapproved": decision.preapproved,
                 },
             }
     raise SystemExit(f"no {kind} for {reason}")

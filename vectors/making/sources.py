@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decisions on who set which field, on consents given before anybody asked, and deviations."""
+"""Decisions on who set which field, on pre-approvals, and deviations."""
 
 from __future__ import annotations
 
@@ -128,8 +128,8 @@ SOURCES: dict[str, tuple[Build, bool]] = {
 }
 
 
-def consented(used: int = 0, **changes: Any) -> Build:
-    """Return a case that asks one further person, who consented beforehand; something changed."""
+def preapproved(left: int = 2, **changes: Any) -> Build:
+    """Return a case that asks one further person, who approved in advance; something changed."""
 
     def build(rnd: Random) -> Case:
         case = decision_cases.everywhere(decision_cases._approval_base(rnd))
@@ -152,23 +152,28 @@ def consented(used: int = 0, **changes: Any) -> Build:
             case.approvals[0].approver, role=changes.get("role", "supervisor")
         )
         hashed = digest_of(Tag.PREAPPROVAL, said)
-        consent = VerifiedPreApproval(preapproval=said, digest=hashed, approver=approver)
+        given = VerifiedPreApproval(preapproval=said, digest=hashed, approver=approver)
         assert case.standing is not None
-        standing = decision_cases.set_(case.standing, requests={}, preapproved={hashed: used})
-        return replace(case, standing=standing, approvals=(), preapprovals=(consent,))
+        request = case.standing.requests[case.grant.id]
+        other = decision_cases.set_(request, scope=decision_cases.DIGEST, denied=True)
+        requests = {case.grant.id: other} if changes.get("denied") else {}
+        left_now = {hashed: left}
+        standing = decision_cases.set_(case.standing, requests=requests, preapproved=left_now)
+        return replace(case, standing=standing, approvals=(), preapprovals=(given,))
 
     return build
 
 
-CONSENTS: dict[str, tuple[Build, bool]] = {
-    "a consent in its last millisecond": (consented(), True),
-    "a consent used once of twice": (consented(used=1), True),
-    "a consent used up": (consented(used=2), False),
-    "a consent that is over": (consented(left_ms=-1), False),
-    "a consent to a row that is not there": (consented(rows=(9,)), False),
-    "a consent to less risk": (consented(most_risk=1), False),
-    "a consent of somebody who may not answer": (consented(role="estimator"), False),
-    "the third line asks each time": (consented(tau_2=1), False),
+PREAPPROVALS: dict[str, tuple[Build, bool]] = {
+    "a pre-approval in its last millisecond": (preapproved(), True),
+    "a pre-approval used once of twice": (preapproved(left=1), True),
+    "a pre-approval used up": (preapproved(left=0), False),
+    "a pre-approval that is over": (preapproved(left_ms=-1), False),
+    "a pre-approval of a row that is not there": (preapproved(rows=(9,)), False),
+    "a pre-approval of less risk": (preapproved(most_risk=1), False),
+    "a pre-approval of somebody who may not answer": (preapproved(role="estimator"), False),
+    "a pre-approval while an action of its grant is denied": (preapproved(denied=True), False),
+    "tier 3 asks each time": (preapproved(tau_2=1), False),
 }
 
 #: Codes of findings with weights of fields, and D_M as numerator and denominator.

@@ -17,7 +17,7 @@ from authguard_r.core.approval import VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.decision import Decision
 from authguard_r.core.encoding import decode, encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError, StoreError
-from authguard_r.core.identifiers import Digest, MissionId
+from authguard_r.core.identifiers import Digest, GrantId, MissionId
 from authguard_r.core.ports import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -102,6 +102,17 @@ class PreApprovalStore:
         turn.put(KIND, said.mid, encode_fast([text for _, text in others]))
         return tuple(one.digest for one, _ in others)
 
+    def drop(self, turn: Values, mid: MissionId, grant: GrantId, now: Now) -> tuple[Digest, ...]:
+        """Drop every pre-approval of a grant; return digests of the others."""
+        others = [one for one in self._held(turn, mid, now) if one[0].preapproval.grant != grant]
+        turn.put(KIND, mid, encode_fast([text for _, text in others]))
+        return tuple(one.digest for one, _ in others)
+
+    def clear(self, turn: Values, mid: MissionId) -> None:
+        """Drop every pre-approval of a mission."""
+        if turn.get(KIND, mid):
+            turn.put(KIND, mid, b"")
+
     def kept(self, turn: Values, standing: Standing, now: Now) -> tuple[StoredPreApproval, ...]:
         """Return the pre-approvals of a mission that are authentic now."""
         return tuple(self._held(turn, standing.mid, now)) if standing.preapproved else ()
@@ -118,7 +129,7 @@ class PreApprovalStore:
             with suppress(MalformedError, AuthenticityError):
                 if token not in self._verified:
                     opened = open_preapproval(
-                        token.encode("ascii"), verifier=self._verifier, now=now
+                        token.encode("utf-8"), verifier=self._verifier, now=now
                     )
                     self._verified[token] = opened
                 yield self._verified[token], token

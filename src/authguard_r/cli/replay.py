@@ -189,6 +189,7 @@ def decided_again(found: Inputs) -> dict[str, Any]:
         "grant": NONE if again["grant"] is None else again["grant"],
         "required": 1 if again["required"] is None else again["required"],
         "risk": 0 if again["risk"] is None else again["risk"],
+        "preapproved": again["preapproved"],
     }
 
 
@@ -223,6 +224,7 @@ def recorded(record: Record) -> dict[str, Any]:
         "grant": opened.get("grant"),
         "required": opened.get("required"),
         "risk": opened.get("risk"),
+        "preapproved": opened.get("preapproved"),
         "safe": safety.get("safe") if isinstance(safety, dict) else None,
         "released": opened.get("ticket") != NONE,
     }

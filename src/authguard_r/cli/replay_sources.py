@@ -27,6 +27,7 @@ from authguard_r.approvals.organization import (
 from authguard_r.audit.closed import closed_of
 from authguard_r.audit.record import Record, ends_motion
 from authguard_r.cli.log_claims import as_token, claimed, claimed_mission, is_instance
+from authguard_r.cli.replay_preapproval import PreApprovals
 from authguard_r.cli.replay_safety import SecondGate
 from authguard_r.cli.replay_standing import Standings
 from authguard_r.cli.replay_words import GONE, NEEDED, not_there, plain, plain_facts
@@ -139,7 +140,7 @@ class Sources:
         self._no_site = "neither site nor mission is in this part of a log"
         self._missions: OrderedDict[str, _Kept] = OrderedDict()
         self._gone: OrderedDict[str, str] = OrderedDict()
-        self._standings = Standings()
+        self._standings, self._preapprovals = Standings(), PreApprovals()
         self.second = SecondGate()
 
     def note(self, record: Record, values: dict[str, Any]) -> Forged | None:
@@ -162,9 +163,9 @@ class Sources:
             elif record.kind == "management" and record.link.decision == "risk-policy":
                 self._policy(record, values)
         except AuthGuardError as error:
-            self._standings.note(record, values)
+            self.pass_by(record, values)
             return Forged(f"{error.reason}: {error.message}")
-        wrong = self._standings.note(record, values)
+        wrong = self.pass_by(record, values)
         return Forged(wrong) if wrong else None
 
     def inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
@@ -175,7 +176,8 @@ class Sources:
 
     def pass_by(self, record: Record, values: dict[str, Any]) -> str:
         """Count what a decision released, decided again or not; return what does not hold of it."""
-        return self._standings.note(record, values)
+        wrong = self._standings.note(record, values), self._preapprovals.note(record)
+        return wrong[0] or wrong[1]
 
     def _inputs(self, record: Record, values: dict[str, Any]) -> Inputs | Lacking | Forged:
         gone = not_there(record, values)
@@ -193,6 +195,7 @@ class Sources:
             _require_linked(record, beside)
             self._require_fence(beside)
             wrong = "".join(map(self._standings.wrong, beside.standing))
+            wrong = wrong or "".join(map(self._preapprovals.wrong, beside.standing))
             if wrong:
                 return Forged(wrong)
             return Inputs(

@@ -108,7 +108,7 @@ class Standing(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
         counter: the last request counter given out.
         selected: index of the row that an authenticated selection chose, by grant.
         closes_ms: trusted time at which `closing` ends.
-        preapproved: releases that used each pre-approval that was handed in, by its digest.
+        preapproved: releases that each pre-approval covers still, by its digest.
     """
 
     mid: MissionId
@@ -183,9 +183,9 @@ def reserve(
         per_ms: the rate window; older releases are forgotten.
         preapproved: digest of the pre-approval that the decision rests on; None: on none.
     """
-    use, used = use_of(standing, grant.id), standing.preapproved
+    use, left = use_of(standing, grant.id), standing.preapproved
     if preapproved is not None:
-        used = {**used, preapproved: used.get(preapproved, 0) + 1}
+        left = {**left, preapproved: left.get(preapproved, 0) - 1}
     recent = tuple(at for at in standing.releases if at > now.mono_ms - per_ms)
     return _with(
         standing,
@@ -195,7 +195,7 @@ def reserve(
         releases=(*recent, now.mono_ms),
         open=(*standing.open, OpenRelease(ticket=ticket, grant=grant.id, reserved=spend)),
         requests={g: r for g, r in standing.requests.items() if g != grant.id},
-        preapproved=used,
+        preapproved=left,
     )
 
 

@@ -14,6 +14,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import deny_request
 from authguard_r.ledger import Act, Ledger, read_held
 from authguard_r.management.parts import Parts, entry, refuse
+from authguard_r.management.preapproval import withdraw_denied
 from authguard_r.questions import find_asked, is_asked, why_not
 from authguard_r.report import refusal_entry
 
@@ -92,5 +93,6 @@ def _effect(act: Act, item: VerifiedApproval, ledger: Ledger, parts: Parts) -> t
     worth = why_not(asked, item, act.now)
     if asked is None or worth or asked.request.denied or item.approval.verdict is Verdict.APPROVE:
         return worth, False
-    act.hold(deny_request(asked.standing, asked.grant.id))
+    denied = deny_request(asked.standing, asked.grant.id)
+    act.hold(withdraw_denied(act, denied, asked.grant.id, parts=parts))
     return worth, True

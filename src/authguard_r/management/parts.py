@@ -96,12 +96,13 @@ def accepted_ms(act: Act) -> int:
     return 0 if held is None else int(held)
 
 
-def require_signed_since(act: Act, issued_ms: int) -> None:
+def require_signed_since(act: Act, issued_ms: int, *, where: str = "command.issued_ms") -> None:
     """Refuse an order that may have been carried out in a part of the log that is lost.
 
     Args:
         act: the act, which knows when the store was accepted.
         issued_ms: when its signer says that it was signed; 0 where he did not say.
+        where: the place of that.
 
     Raises:
         RefusedError: not after the store was accepted (`ROLLED_BACK`).
@@ -109,7 +110,7 @@ def require_signed_since(act: Act, issued_ms: int) -> None:
     since_ms = accepted_ms(act)
     if 0 < since_ms >= issued_ms:
         text = f"signed before this store was accepted, {to_timestamp(since_ms)}: sign it anew"
-        raise refuse(Reason.ROLLED_BACK, text, "command.issued_ms")
+        raise refuse(Reason.ROLLED_BACK, text, where)
 
 
 def require_timely(

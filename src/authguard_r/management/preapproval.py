@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from authguard_r.core.approval import PreApproval
+from authguard_r.core.approval import PreApproval, VerifiedPreApproval
 from authguard_r.core.checks.people import people_behind
-from authguard_r.core.lifecycle import TERMINAL
+from authguard_r.core.identifiers import GrantId
+from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.mission import Grant
+from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import Principal, VerifiedMission
-from authguard_r.ledger import Act
+from authguard_r.ledger import SKEW_MS, Act
 from authguard_r.management.parts import (
     Parts,
     entry,
@@ -24,6 +26,9 @@ from authguard_r.management.parts import (
     require_newest,
     require_signed_since,
 )
+
+#: Where the store holds when an action of a grant was denied last, by mission and grant.
+_DENIED = "preapproval-denied"
 
 
 def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
@@ -38,7 +43,7 @@ def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
     standing = act.standing(said.mid)
     if standing is None or (standing.digest, standing.version) != (said.mission, said.version):
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
-    if standing.status in TERMINAL:
+    if standing.status in {*TERMINAL, Status.ISSUED}:
         raise replayed(standing)
     verified = parts.intake.mission(act, standing.digest)
     grant = next((g for g in verified.mission.actions if g.id == said.grant), None)
@@ -47,11 +52,11 @@ def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
         raise refuse(Reason.ACTION_OUT_OF_SCOPE, text, "preapproval.grant")
     _require_narrow(act, said, verified, grant, parts)
     _require_eligible(item.approver, said, verified, grant, parts)
-    require_newest(act, f"{said.mid}/{grant.id}/{item.approver.id}/preapproval", said.issued_ms)
-    require_signed_since(act, said.issued_ms)
+    _require_new(act, item)
     text = token.decode("ascii").strip()
     kept = parts.intake.preapprovals.keep(act, item, text, act.now)
-    held = replace(standing, preapproved={one: standing.preapproved.get(one, 0) for one in kept})
+    left = {**standing.preapproved, item.digest: said.uses}
+    held = replace(standing, preapproved={one: left.get(one, 0) for one in kept})
     act.hold(held)
     opened: dict[str, object] = {
         "verb": "preapprove",
@@ -65,6 +70,28 @@ def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
     }
     act.record(entry(act, said.mid, opened, {"token": text}))
     return held
+
+
+def withdraw_denied(act: Act, standing: Standing, grant: GrantId, *, parts: Parts) -> Standing:
+    """Return the standing without pre-approvals of a grant, of which an action was denied.
+
+    Only what is signed after the denial counts again.
+    """
+    kept = parts.intake.preapprovals.drop(act, standing.mid, grant, act.now)
+    act.put(_DENIED, f"{standing.mid}/{grant}", str(act.now.utc_ms).encode("ascii"))
+    return replace(standing, preapproved={one: standing.preapproved.get(one, 0) for one in kept})
+
+
+def _require_new(act: Act, item: VerifiedPreApproval) -> None:
+    """Require what was signed after what it replaces, after a denial, and not ahead of time."""
+    said = item.preapproval
+    if said.uses and said.issued_ms > act.now.utc_ms + SKEW_MS:
+        text = f"signed at {to_timestamp(said.issued_ms)}: the clock that signed it runs ahead"
+        raise refuse(Reason.NOT_YET_VALID, text, "preapproval.issued_ms")
+    denied_ms = int(act.get(_DENIED, f"{said.mid}/{said.grant}") or 0)
+    key = f"{said.mid}/{said.grant}/{item.approver.id}/preapproval"
+    require_newest(act, key, said.issued_ms, over_ms=denied_ms)
+    require_signed_since(act, said.issued_ms, where="preapproval.issued_ms")
 
 
 def _require_narrow(

@@ -89,7 +89,7 @@ def accept_store(act: Act, token: bytes, *, parts: Parts) -> AcceptedStore:
 
 
 def _put_to_rest(act: Act, parts: Parts) -> Standing | None:
-    """Suspend what is active, and drop what was asked and chosen; what closes is over."""
+    """Suspend what is active, and drop what was asked, chosen and pre-approved; end what closes."""
     mid = act.active()
     standing = None if mid is None else act.standing(mid)
     if standing is None or standing.status in TERMINAL:
@@ -97,7 +97,8 @@ def _put_to_rest(act: Act, parts: Parts) -> Standing | None:
     after = advance(standing, Event.SUSPEND) or standing
     if after.status is Status.CLOSING:
         after = advance(after, Event.REVOKE) or after
-    after = replace(after, requests={}, selected={}, counter=after.counter + _LEAP)
+    parts.intake.preapprovals.clear(act, after.mid)
+    after = replace(after, requests={}, selected={}, preapproved={}, counter=after.counter + _LEAP)
     act.hold(after)
     if after.status in TERMINAL:
         act.make_active(None)

@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
+from authguard_r.approvals.preapprovals import KIND as PREAPPROVALS
 from authguard_r.audit.boxes import SEALING, Box
 from authguard_r.audit.record import (
     BOX,
@@ -359,7 +360,8 @@ def _begin(
         act.forget_keys(mid)
     standing = None if mid == NONE else act.standing(MissionId(mid))
     if standing is not None:  # over: it uses, asks and chooses nothing more, and the log has it
-        act.hold(replace(standing, requests={}, selected={}, uses={}))
+        act.hold(replace(standing, requests={}, selected={}, uses={}, preapproved={}))
+        act.put(PREAPPROVALS, mid, b"")
         act.drop_token(standing.digest)
     opened = {"of": mid, "classes": list(classes), "keys": len(keys)}
     job = Shredding(

@@ -92,7 +92,9 @@ def find_preapproval(case: Case, grant: Grant, row: Row, need: Need) -> Verified
 
     The caller has asked step 7: nobody denied this very action.
     """
-    if need.tier != Tier.ELEVATED:
+    standing = case.standing
+    request = standing.requests.get(grant.id) if standing is not None else None
+    if need.tier != Tier.ELEVATED or (request is not None and request.denied):
         return None
     return next((p for p in case.preapprovals if _covers(p, case, grant, row, need)), None)
 
@@ -106,10 +108,10 @@ def _covers(item: VerifiedPreApproval, case: Case, grant: Grant, row: Row, need:
         and grant.alternatives.index(row) in said.rows
         and need.risk <= said.most_risk
     )
-    used = case.standing.preapproved.get(item.digest, 0) if case.standing is not None else 0
+    left = case.standing.preapproved.get(item.digest, 0) if case.standing is not None else 0
     in_time = case.now.utc_ms <= min(said.expires_ms, item.approver.usable_until_ms)
     behind = people_behind(case.verified.issuer, [item.approver])
-    enough = used < said.uses and behind >= need.required
+    enough = left > 0 and behind >= need.required
     return bound and in_time and enough and _may_answer(item.approver, case)
 
 
