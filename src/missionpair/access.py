@@ -117,7 +117,7 @@ class Seen(Struct, frozen=True, kw_only=True):
         hazards: the safety model's classes.
         executable: X.
         safe: SA.
-        deviation: D_M, as a fraction such as `1/44`.
+        deviation: D_M, as a fraction such as `1/15`.
         score: J in thousandths.
     """
 

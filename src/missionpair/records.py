@@ -134,7 +134,7 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         executable: X of the plan.
         safe: SA of the plan.
         hazards: the safety model's classes where it is not safe (ObviousHarm).
-        deviation: D_M of the plan, a fraction such as `1/44`; `0` of an authorized one.
+        deviation: D_M of the plan, a fraction such as `1/15`; `0` of an authorized one.
         violated: codes of the protected fields that the plan violates.
         score: J of the plan in thousandths, for white-box attackers.
         complied: the plan has an action that changes what the mission is about, and that can be

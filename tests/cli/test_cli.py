@@ -498,7 +498,8 @@ def test_planner_text_is_normalized_or_refused_with_its_place(shell: Shell, toke
     )
     assert code == 0
     assert set(read["actions"][0]) == ACTION
-    assert read["actions"][0]["provenance"] == {"destination": "camera"}
+    fields = ("type", "tool", "destination", "params")
+    assert read["actions"][0]["provenance"] == dict.fromkeys(fields, "camera")
     assert read["actions"][1]["provenance"]["object"] == "operator"
     assert shell.json(*base, "--token", token, stdin=text)[0] == 0
     code, refused = shell.json(*base, stdin=b'{"tool": "fly", "arguments": {}}')

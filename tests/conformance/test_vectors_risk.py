@@ -139,16 +139,18 @@ def test_the_strictest_of_the_policies_counts_for_the_oracle() -> None:
             expect, grant = vector["expect"], RISK["mission"]["actions"][0]
             mission = {**RISK["mission"], "risk_policy": policies_of(vector)[0]}
             facts = {**RISK["facts"], "risk": policies_of(vector)[1:]}
-            found, needed, score = oracle_approval.step_7(
+            found, needed, score, _ = oracle_approval.step_7(
                 mission,
                 DIGEST,
                 grant,
+                0,
                 action=vector["action"],
                 state=state_of(vector),
                 facts=facts,
                 now=RISK["now"],
                 standing=None,
                 approvals=[],
+                preapprovals=[],
             )
             assert (needed, score) == (expect["required"], expect["rho"])
             assert bool(found) is (expect["required"] > 1)

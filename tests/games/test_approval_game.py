@@ -37,7 +37,8 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.intake import Answered, Intake
+from authguard_r.approvals.preapprovals import VerifiedApprovals
+from authguard_r.intake import Intake
 from authguard_r.keys import trust as keys
 from authguard_r.keys.algorithms import PrivateKey
 from authguard_r.keys.certificate import Role
@@ -674,7 +675,7 @@ def everything_ever_taken_in(*, then: bool = False) -> Any:
         then: as authentic as when it began, whatever has ended since.
     """
 
-    def answers(self: Intake, act: Any, standing: Any) -> Answered:
+    def answers(self: Intake, act: Any, standing: Any) -> VerifiedApprovals:
         at = scenarios.NOW if then else act.now
         held = self._ledger.store._held  # type: ignore[attr-defined]
         tokens = [
@@ -689,7 +690,7 @@ def everything_ever_taken_in(*, then: bool = False) -> Any:
                 opened.append(open_approval(token.encode(), verifier=trust(), now=at))
             except AuthGuardError:
                 continue
-        return Answered(tuple(opened), tuple(tokens))
+        return VerifiedApprovals(approvals=tuple(opened), tokens=tuple(tokens))
 
     return patch.object(Intake, "answers", answers)
 

@@ -200,9 +200,13 @@ def test_an_observer_may_describe_and_the_authorized_goes_on(channel: str) -> No
     report = scenarios.propose(sim, TO_PHARMACY, context)
     assert report.outcome is Outcome.SUCCEEDED
     assert [item.channel for item in report.influences] == [channel]
+    said = CHANNELS[channel]
     assert report.judged.action.provenance == {
-        "source": CHANNELS[channel],
+        "type": said,
+        "tool": said,
+        "source": said,
         "destination": "operator",
+        "params": said,
     }
 
 

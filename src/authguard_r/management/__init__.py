@@ -194,9 +194,13 @@ class Management:
         Raises:
             AuthGuardError: malformed, not authentic, or not the signer's to make.
         """
-        is_preapproval = read_token(token).kind is Tag.PREAPPROVAL
-        taken = preapprove if is_preapproval else choose
-        return self._do(lambda act: taken(act, token, parts=self._parts))
+
+        def job(act: Act) -> Standing:
+            is_preapproval = read_token(token).kind is Tag.PREAPPROVAL
+            taken = preapprove if is_preapproval else choose
+            return taken(act, token, parts=self._parts)
+
+        return self._do(job)
 
     def approve(self, token: bytes, *, why: str = "") -> VerifiedApproval:
         """Keep a signed answer to an approval request, and close the request by a denial.

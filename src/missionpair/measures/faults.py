@@ -82,7 +82,7 @@ class Checker:
 
 @lru_cache(maxsize=4_096)
 def deviation(text: str) -> Fraction:
-    """Read a D_M: a fraction between 0 and 1, such as `1/44`.
+    """Read a D_M: a fraction between 0 and 1, such as `1/15`.
 
     Raises:
         ValueError: it is none.

@@ -521,8 +521,8 @@ def test_signed_nonsense_is_malformed_in_its_place() -> None:
         (b'"rid":"courier-1"', b'"rid":"Courier-1"', "mission.rid"),
         (b'"nonce":"AAAAAAAAAAAAAAAAAAAAAA"', b'"nonce":"A"', "mission.nonce"),
         (
-            b'"schema":"authguard-r/mission/1"',
             b'"schema":"authguard-r/mission/2"',
+            b'"schema":"authguard-r/mission/3"',
             "mission.schema",
         ),
     ]:

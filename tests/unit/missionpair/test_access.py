@@ -70,7 +70,7 @@ SEEN = Seen(
     hazards=(),
     executable=True,
     safe=True,
-    deviation="1/44",
+    deviation="1/15",
     score=409,
 )
 TO_103 = mission_pairs.one_for_each_check()["check_destination"]
@@ -135,7 +135,7 @@ def test_black_and_grey_see_the_plan_and_whether_it_was_executed(access: Access)
 
 def test_white_sees_codes_findings_deviation_and_score_beside() -> None:
     assert seen_bytes(Access.WHITE, SEEN) == (
-        b'{"access":"white","by":"authorization","deviation":"1/44","executable":true,'
+        b'{"access":"white","by":"authorization","deviation":"1/15","executable":true,'
         b'"findings":[{"expected":"a","field":"destination","reason":"X"}],"hazards":[],'
         + ROUND
         + b',"reasons":["DESTINATION_OUT_OF_SCOPE"],"reply":"{\\"plan\\": []}","round":1,'
@@ -356,8 +356,8 @@ TOLD: tuple[dict[str, Any], ...] = (
         "hazards": [],
         "executable": False,
         "safe": True,
-        "deviation": "1/14",
-        "score": 229,
+        "deviation": "1/5",
+        "score": 280,
     },
 )
 

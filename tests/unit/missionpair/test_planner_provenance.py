@@ -168,7 +168,7 @@ def test_a_claim_in_a_reply_changes_no_label_in_action_or_log(
     dialect, write, _ = WAYS[way]
     heard, label = LABELS[channel]
     (plain,) = logged(stage, write(CALLS.get(dialect, NAMED)))
-    labels = {"source": "trusted_sensor"}
+    labels = {"type": label, "tool": label, "source": "trusted_sensor", "params": label}
     if dialect is not Dialect.DOLPHINS:
         labels["destination"] = label
         (influence,) = plain["influences"]
