@@ -80,7 +80,7 @@ def decision_json(judged: Judged, *, authoritative: bool) -> dict[str, Any]:
         "grant": None if decision.match is None else decision.match.indexed.grant.id,
         "risk": None if decision.need is None else decision.need.risk,
         "deviation": float(judged.deviation),
-        "violated": list(violated_fields(decision.reasons)),
+        "violated_fields": list(violated_fields(decision.reasons)),
         "weights": dict(judged.weights) or EQUAL,
         "mission": mission_json(judged.verified),
         "action_digest": judged.action_digest,

@@ -73,7 +73,9 @@ def run_command(
     ] = ",".join(map(str, DEFAULT.thousandths)),
     weight: Annotated[
         list[str] | None,
-        typer.Option("--weight", help="Of D_M: FIELD=N, others weigh 1; may be repeated."),
+        typer.Option(
+            "--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."
+        ),
     ] = None,
     jobs: Annotated[
         int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")

@@ -27,6 +27,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from authguard_r import enforcement
 from authguard_r.approvals import open_approval
+from authguard_r.approvals.preapprovals import VerifiedApprovals
 from authguard_r.core import decide as gate
 from authguard_r.core.action import Action, ActionScope
 from authguard_r.core.approval import Approval, Verdict
@@ -37,7 +38,6 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.approvals.preapprovals import VerifiedApprovals
 from authguard_r.intake import Intake
 from authguard_r.keys import trust as keys
 from authguard_r.keys.algorithms import PrivateKey

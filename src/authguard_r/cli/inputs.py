@@ -58,7 +58,7 @@ RiskPolicyOption = Annotated[
 ]
 WeightOption = Annotated[
     list[str] | None,
-    typer.Option("--weight", help="Of D_M: FIELD=N, others weigh 1; may be repeated."),
+    typer.Option("--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."),
 ]
 RepairOption = Annotated[
     bool,

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard approvals preapprove`: consent to a class of low-risk actions before anybody asks.
+"""`authguard approvals preapprove`: a class of low-risk actions, before the robot asks.
 
-How-to: docs/howto/approvals.md#before-anybody-asks
+How-to: docs/howto/approvals.md#pre-approve-low-risk-actions
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -28,9 +27,11 @@ from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.compile.questions import Questions
 from authguard_r.core.approval import PreApproval
 from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import GrantId
 from authguard_r.core.quantities import to_timestamp
-from authguard_r.core.token import sign_object
+from authguard_r.core.reasons import Reason
+from authguard_r.core.token import VerifiedMission, sign_object
 
 
 def preapprove_command(
@@ -39,16 +40,19 @@ def preapprove_command(
     site: SiteOption,
     store: StoreOption,
     grant: Annotated[str, typer.Option("--grant", help="The grant.")],
-    row: Annotated[
-        list[int], typer.Option("--row", help="A row's number, from 0; may be repeated.", min=0)
-    ],
-    most_risk: Annotated[
-        int, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
-    ],
     uses: Annotated[
         int, typer.Option("--uses", help="Releases that are covered; 0 withdraws.", min=0)
     ],
-    valid: Annotated[str, typer.Option("--valid", help="How long it counts: `30 min`.")],
+    row: Annotated[
+        list[int] | None, typer.Option("--row", help="Number of a row, from 0; repeatable.", min=0)
+    ] = None,
+    most_risk: Annotated[
+        int | None, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
+    ] = None,
+    valid: Annotated[str | None, typer.Option("--valid", help="How long it counts: `30 min`.")] = (
+        None
+    ),
+    *,
     key: Annotated[Path, typer.Option("--key", help="The approver's key.")],
     cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
     passphrase_file: PassphraseFile = None,
@@ -58,38 +62,53 @@ def preapprove_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Approve, signed, a class of low-risk actions before the robot asks; shows it and asks.
+    """Pre-approve low-risk actions, signed, before the robot asks; shows them and asks you.
 
-    It covers some rows of one grant of one mission version, so often, for so long, and only
-    actions that need one approval: where the risk is tau_2 or more, each needs its own.
+    A pre-approval covers rows of one grant of one mission version, up to a largest risk, a number
+    of uses and an end. An action whose risk is tau_2 or more needs approvals of its own.
     """
     verified = opened_mission(token, trust, template)
-    lasts = Questions()
-    lasting = lasts.integer(valid, "ms", field="--valid")
-    lasts.require_none()
-    at, rows = wall_now(None), tuple(sorted(set(row)))
-    consent = PreApproval(
+    at, rows = wall_now(None), tuple(sorted(set(row or ())))
+    if uses and (not rows or most_risk is None or valid is None):
+        raise typer.BadParameter("name --row, --most-risk and --valid", param_hint="--uses")
+    said = PreApproval(
         mid=verified.mission.mid,
         version=verified.mission.version,
         mission=verified.digest,
         rid=verified.mission.rid,
         grant=GrantId(grant),
-        rows=rows,
-        most_risk=most_risk,
+        rows=rows or (0,),
+        most_risk=most_risk or 0,
         uses=uses,
-        expires_ms=at.utc_ms + (lasting or 0),
+        expires_ms=_end(at.utc_ms, valid or "1 min", verified),
         issued_ms=at.utc_ms,
     )
     model = load_site(site, trust)
     lines = [line for number in rows for line in row_lines(verified.mission, grant, number, model)]
     lines += [
-        f"  up to risk {most_risk}, {uses} time(s), until {to_timestamp(consent.expires_ms)}"
+        f"  up to risk {said.most_risk}, {uses} use(s), until {to_timestamp(said.expires_ms)}"
         if uses
-        else "  what you approved of this grant before is withdrawn"
+        else f"  what you pre-approved of `{grant}` is withdrawn"
     ]
-    asks = not yes and sys.stdin.isatty()  # where nobody is, the command is the order
-    if asks:
-        confirm_shown(lines, "Approve exactly this beforehand?", as_json=as_json)
-    signed = sign_object(consent, Tag.PREAPPROVAL, open_signer(key, cert, passphrase_file))
+    if not yes:
+        confirm_shown(lines, "Pre-approve exactly this?", as_json=as_json)
+    signed = sign_object(said, Tag.PREAPPROVAL, open_signer(key, cert, passphrase_file))
     place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
-    return manage(place, lambda m: m.select(signed), [] if asks else lines, as_json=as_json)
+    lines.append("the gate took it in" if uses else "the gate took the withdrawal in")
+    return manage(place, lambda m: m.select(signed), lines, as_json=as_json)
+
+
+def _end(now_ms: int, valid: str, verified: VerifiedMission) -> int:
+    """Return when a pre-approval ends.
+
+    Raises:
+        MalformedError: no length of time, or longer than the mission.
+    """
+    asked = Questions()
+    length = asked.integer(valid, "ms", field="--valid")
+    asked.require_none()
+    end_ms = now_ms + (length or 0)
+    if end_ms > verified.expiry_ms:
+        text = f"expected an end before the mission's, {verified.mission.expiry}"
+        raise MalformedError(text, where="--valid", reason=Reason.VALUE_OUT_OF_RANGE)
+    return end_ms

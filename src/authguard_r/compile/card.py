@@ -53,7 +53,7 @@ def review(mission: Mission, site: Site, *, demand: Demand | None = None) -> tup
         *_totals(mission),
         *_approvals(mission, site),
         *_demanded(mission, demand),
-        *_sources(mission),
+        *_sources(mission, site),
         *_retention(mission),
         *_withheld(mission, site),
         *_bound(mission),
@@ -221,10 +221,11 @@ def _weights(policy: RiskPolicy, site: Site) -> Iterator[str]:
     yield f"each step of privacy {policy.privacy}"
 
 
-def _sources(mission: Mission) -> Iterator[str]:
-    """Say which labels may set which field, where the mission narrows it."""
-    for field, labels in sorted(mission.sources.items()):
-        yield f"Field {field} may be set by {', '.join(labels)} only"
+def _sources(mission: Mission, site: Site) -> Iterator[str]:
+    """Say which labels may set which field, where the site or the mission narrows it."""
+    for whose, sources in (("the site", site.sources), ("this mission", mission.sources)):
+        for field, labels in sorted(sources.items()):
+            yield f"By {whose}, {field} may be set by {', '.join(labels)} only"
     weighed = sorted(mission.risk_policy.field_weights.items())
     if weighed:
         told = ", ".join(f"{field} {weight}" for field, weight in weighed)
@@ -233,7 +234,8 @@ def _sources(mission: Mission) -> Iterator[str]:
 
 def _retention(mission: Mission) -> Iterator[str]:
     for data, kept_ms in sorted(mission.retention.items()):
-        yield f"Sealed {data} fields are destroyed {spoken.duration(kept_ms)} after its end"
+        kept = spoken.duration(kept_ms)
+        yield f"Sealed {data} fields are destroyed {kept} after the mission expires"
 
 
 def _withheld(mission: Mission, site: Site) -> Iterator[str]:

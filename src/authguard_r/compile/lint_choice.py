@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.compile.conditions import can_hold
-from authguard_r.compile.findings import Code, LintFinding, Scene, warning
+from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
 from authguard_r.compile.lint_matches import comes_before
 from authguard_r.compile.lint_scope import Rule, abandons
 from authguard_r.compile.worst import worst_risk
 from authguard_r.core.mission import Grant, Mission, Row
-from authguard_r.core.provenance import Chooser
+from authguard_r.core.provenance import UNTRUSTED, WIDEST, Chooser, SourceField, allowed_of
 
 _MEND = (
     "let the operator or a supervisor choose among the rows of one grant, or let order (`after`, "
@@ -38,6 +38,21 @@ def planner_chooses_risk(scene: Scene) -> Iterator[LintFinding]:
                 f"actions[{number}].chooser",
                 f"whoever steers the planner picks among rows of `{grant.id}` of different risk",
                 _MEND,
+            )
+
+
+def never_set(scene: Scene) -> Iterator[LintFinding]:
+    """A planner proposes type and tool: where it may set neither, every proposal is refused."""
+    mission, site = allowed_of(scene.mission.sources), allowed_of(scene.site.sources)
+    for field in (SourceField.TYPE, SourceField.TOOL):
+        left = mission.get(field, WIDEST[field]) & site.get(field, WIDEST[field])
+        if not left & UNTRUSTED:
+            whose = "the site's" if not site.get(field, UNTRUSTED) & UNTRUSTED else "the mission's"
+            yield error(
+                Code.NEVER_MATCHES,
+                f"sources.{field}",
+                f"no planner can set `{field}`: {whose} source set has no label of a planner's",
+                f"add `model` to {whose} `sources.{field}`",
             )
 
 
@@ -111,4 +126,4 @@ def _risk(row: Row, grant: Grant, scene: Scene) -> tuple[int, frozenset[str], st
     return worst_risk(scene.mission, grant, row, scene.facts), tags, kind
 
 
-CHOICE_RULES: tuple[Rule, ...] = (planner_chooses_risk, planner_chooses_grant)
+CHOICE_RULES: tuple[Rule, ...] = (never_set, planner_chooses_risk, planner_chooses_grant)

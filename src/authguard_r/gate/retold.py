@@ -47,7 +47,7 @@ def retold(
             "required_approvals": opened["required"],
             "risk": opened["risk"],
             "deviation": opened["deviation"][0] / opened["deviation"][1],
-            "violated": list(violated_fields(map(Reason, opened["reasons"]))),
+            "violated_fields": list(violated_fields(map(Reason, opened["reasons"]))),
             "weights": opened["weights"],
             "mission": {
                 "mid": link.mid,

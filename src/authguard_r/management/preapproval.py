@@ -99,7 +99,8 @@ def _require_narrow(
 ) -> None:
     """Require rows of the grant, the second line of `eq:threshold` at most, few uses and an end."""
     if [*said.rows] != sorted({*said.rows}) or said.rows[-1] >= len(grant.alternatives):
-        text = f"expected rows of `{grant.id}`, 0 to {len(grant.alternatives) - 1}, sorted"
+        last, got = len(grant.alternatives) - 1, ", ".join(map(str, said.rows))
+        text = f"`{grant.id}` has rows 0 to {last}; expected some of them, sorted, got {got}"
         raise refuse(Reason.SCHEMA_INVALID, text, "preapproval.rows")
     policies = (verified.mission.risk_policy, *parts.facts.risk)
     tau_2 = min(policy.tau_2 for policy in policies)

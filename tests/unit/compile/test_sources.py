@@ -12,6 +12,8 @@ from authguard_r.compile.build import compile_draft
 from authguard_r.compile.card import compare, review
 from authguard_r.compile.change import to_draft
 from authguard_r.compile.draft import Draft
+from authguard_r.compile.findings import Code, Severity
+from authguard_r.compile.lint import lint
 from authguard_r.compile.sources import given_weights
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.mission import SCHEMA, DataClass, Mission, ProtectedField, require_schema
@@ -19,7 +21,7 @@ from authguard_r.core.provenance import Label, SourceField
 from authguard_r.core.reasons import Reason
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site
-from authguard_r.site.source import convert
+from authguard_r.site.source import convert, parse_site
 from fixtures import scenarios
 from fixtures.cases import case
 
@@ -80,13 +82,13 @@ BAD: dict[str, tuple[dict[str, Any], Reason, str, str]] = {
         {"sources": {"route": []}},
         Reason.SCHEMA_INVALID,
         "sources.route",
-        "at least one label",
+        "at least one of audio",
     ),
     "a model that permits recording": (
         {"sources": {"recording": ["model"]}},
-        Reason.PROVENANCE_DENIED,
+        Reason.SCHEMA_INVALID,
         "sources.recording",
-        "operator, supervisor",
+        "`recording` can be set by operator or supervisor only, got `model`",
     ),
     "a class that there is not": (
         {"retention": {"video": "1 d"}},
@@ -133,7 +135,7 @@ BAD: dict[str, tuple[dict[str, Any], Reason, str, str]] = {
     "a weight of no protected field": (
         weighed(goal=1),
         Reason.NAME_UNKNOWN,
-        "risk_policy.field_weights.goal",
+        "risk_policy.field_weights",
         "destination",
     ),
 }
@@ -182,8 +184,10 @@ def test_the_first_language_has_none_of_them() -> None:
 def test_the_card_and_the_difference_show_them() -> None:
     plain, mission = build(), build(**NEWER, **weighed(destination=6))
     card = "\n".join(review(mission, scenarios.site()))
-    assert "route may be set by model, operator only" in card
-    assert "evidence fields are destroyed 720 h after" in card
+    assert "By this mission, route may be set by model, operator only" in card
+    narrow = allowing(tool=(Label.MODEL,))
+    assert "By the site, tool may be set by model only" in "\n".join(review(plain, narrow))
+    assert "evidence fields are destroyed 720 h after the mission expires" in card
     assert "destination 6" in card
     shown = "\n".join(map(str, compare(plain, mission, scenarios.site())))
     assert "route may be set by camera" in shown
@@ -216,14 +220,15 @@ def test_a_site_has_sorted_sets_within_the_papers_bounds() -> None:
 @pytest.mark.parametrize(
     ("texts", "where"),
     [
-        (["goal=1"], "--weight.goal"),
-        (["destination"], "--weight.destination"),
+        (["goal=1"], "--weight"),
+        (["destination"], "--weight"),
+        (["destination=1", "destination=2"], "--weight"),
         (["destination=0"], "--weight.destination"),
         (["destination=-1"], "--weight.destination"),
         (["destination=1.5"], "--weight.destination"),
         (["destination=" + "9" * 5_000], "--weight.destination"),
         (["destination=٣"], "--weight.destination"),
-        (["=1"], "--weight."),
+        (["=1"], "--weight"),
     ],
 )
 def test_a_bad_weight_on_the_command_line_is_refused(texts: list[str], where: str) -> None:
@@ -235,3 +240,29 @@ def test_a_bad_weight_on_the_command_line_is_refused(texts: list[str], where: st
 def test_weights_on_the_command_line_are_whole_numbers_by_field() -> None:
     found = given_weights(["destination=5", "object=2"], where="--weight")
     assert found == {ProtectedField.DESTINATION: 5, ProtectedField.OBJECT: 2}
+
+
+def test_a_site_that_people_write_is_refused_by_the_place_of_the_word() -> None:
+    text = (scenarios.HOSPITAL / "site.yaml").read_text(encoding="utf-8")
+    for said, where, told in (
+        ("{goal: [operator]}", "site:sources.goal", "destination"),
+        ("{route: [nobody]}", "site:sources.route[0]", "camera"),
+        ("{route: []}", "site:sources.route", "at least one of"),
+        ("{position: [camera]}", "site:sources.position", "trusted_sensor only"),
+        ("[route]", "site:sources", "{field: [label, ...]}"),
+    ):
+        with case(said):
+            with pytest.raises(MalformedError) as error:
+                parse_site(f"{text}\nsources: {said}\n", where="site")
+            assert error.value.where == where
+            assert told in error.value.message
+
+
+def test_the_lint_names_a_set_that_no_planner_can_satisfy() -> None:
+    mission = build(sources={"type": ["operator"]})
+    (finding,) = [f for f in lint(mission, scenarios.site()) if f.where == "sources.type"]
+    assert (finding.code, finding.severity) == (Code.NEVER_MATCHES, Severity.ERROR)
+    assert "the mission's" in finding.mend
+    site = allowing(tool=(Label.SUPERVISOR,))
+    (finding,) = [f for f in lint(build(site), site) if f.where == "sources.tool"]
+    assert "the site's" in finding.mend
