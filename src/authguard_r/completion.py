@@ -6,6 +6,8 @@ Nothing here decides. Spec page: docs/spec/enforcement.md
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 
 from authguard_r.audit.record import Entry
@@ -19,6 +21,7 @@ from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
 from authguard_r.normalize import Step
+from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.labels import label_fields
 from authguard_r.questions import counted
 from authguard_r.report import Judged, Report, decision_entry
@@ -88,7 +91,7 @@ def repaired_step(step: Step, judged: Judged) -> Step | None:
 
     Returns:
         None when the authorization gate did not accept, when the safety gate offers no repair, and
-        when what it offers is more than fewer regions on the route and lower numbers. Source:
+        when what it offers is more than fewer regions on the route and lower speeds. Source:
         `fig:architecture`.
     """
     safety = judged.safety
@@ -99,6 +102,31 @@ def repaired_step(step: Step, judged: Judged) -> Step | None:
         return None
     action = msgspec.structs.replace(repair, provenance={}, meta=None)
     return Step(action=action, attested=step.attested)
+
+
+def repaired_report(
+    report: Report, step: Step, judge: Callable[[Step], Judged], context: ContextLedger
+) -> Report:
+    """Return the report of a step's repair, decided once; the step's own when there is none.
+
+    A repair opens no approval request while its grant has one. A new request would replace that
+    one, and the approvals that the refused step still needs would end with it. The repair is then
+    refused with `APPROVAL_REQUIRED`.
+
+    Args:
+        report: both gates' answers to the step.
+        step: what was proposed.
+        judge: asks both gates; changes nothing.
+        context: what the planner could have seen.
+    """
+    again = repaired_step(step, require_judged(report))
+    if again is None:
+        return report
+    judged = judge(again)
+    standing, match = judged.standing, judged.decision.match
+    if standing is not None and match is not None and match.indexed.grant.id in standing.requests:
+        judged = msgspec.structs.replace(judged, request=None)
+    return Report(judged=judged, influences=context.influences(again.action), repairs=report)
 
 
 def record_of_decision(report: Report, facts: SiteFacts) -> Entry:

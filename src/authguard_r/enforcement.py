@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from authguard_r.audit.deviation import weights_of
-from authguard_r.completion import cause_of, complete, meta_of, record_of_decision, repaired_step
+from authguard_r.completion import cause_of, complete, meta_of, record_of_decision, repaired_report
 from authguard_r.core.action import Action
 from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
@@ -140,7 +140,8 @@ class Enforcer:
             keep: holds something beside what the decision and the outcome change.
             inputs: what to seal beside a refusal that has no decision.
             repair: when the safety gate alone refuses the step and offers a repair, decide the
-                repair too, once and in the same turn. Its report has the refused one in `repairs`.
+                repair too, once, in the same transaction. Its report names the refused one in
+                `repairs`.
 
         Returns:
             The final report, or the action while it runs: somebody has to `poll` it then.
@@ -150,10 +151,7 @@ class Enforcer:
         def job(act: Act) -> Report:
             judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
             report = Report(judged=judge(step), influences=influences)
-            again = repaired_step(step, require_judged(report)) if repair else None
-            if again is not None:
-                found = context.influences(again.action)
-                report = Report(judged=judge(again), influences=found, repairs=report)
+            report = repaired_report(report, step, judge, context) if repair else report
             return self._record(act, report, planner, keep)
 
         try:

@@ -25,7 +25,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.safety import Hazard
-from authguard_r.gate.explain import hazards_of, verdict_of, who_of
+from authguard_r.gate.explain import hazards_of, repaired_by, verdict_of, who_of
 
 #: How much of a digest a line shows; `--json` has all of it.
 _SHORT = 12
@@ -239,6 +239,7 @@ def _line(seq: int, record: Record, values: dict[str, Any], began: tuple[int, st
     at = to_timestamp(record.link.time_ms)
     reasons = (*(record.open.get("reasons") or ()), *hazards_of(record))
     what = _what(record, values) if began is None else f"{began[1]} (record {began[0]})".strip()
+    what = ", ".join(part for part in (what, *repaired_by(record)) if part)
     told = ": ".join(part for part in (what, ", ".join(map(str, reasons))) if part)
     head = f"{seq:5} {at} {record.kind:11}{verdict_of(record):17} {record.link.mid:16} "
     return f"{head}{who_of(record, values):20} {told}"
@@ -264,13 +265,14 @@ def _what(record: Record, values: dict[str, Any]) -> str:
 
 
 def _moved(action: dict[str, Any]) -> str:
-    """Return an action: what, which thing, from where to where, how."""
+    """Return an action: what, which thing, from where to where, by which regions, how."""
     source, destination = action.get("source"), action.get("destination")
     if destination in {None, source}:
         where = "" if source is None else f"at {source}"
     else:
         where = f"{source} -> {destination}" if source is not None else f"-> {destination}"
-    how = [f"{name}={value}" for name, value in (action.get("params") or {}).items()]
+    how = [f"by={','.join(map(str, action['route']))}"] if action.get("route") else []
+    how += [f"{name}={value}" for name, value in (action.get("params") or {}).items()]
     parts = (action.get("type"), action.get("object"), where, *how)
     return " ".join(str(part) for part in parts if part)
 

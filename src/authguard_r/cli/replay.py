@@ -27,6 +27,7 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.opening import Opening, ReaderOption, opening_of
+from authguard_r.cli.replay_repairs import Repairs
 from authguard_r.cli.replay_sources import FAR_MS, Forged, Inputs, Lacking, Sources
 from authguard_r.cli.replay_words import plain
 from authguard_r.cli.signing_key import PassphraseFile
@@ -79,6 +80,7 @@ class Replay:
         self._trust = trust
         self._first = first
         self._sources = Sources(trust)
+        self._repairs = Repairs()
         self.decisions = 0
         self.agree = 0
         self.differ = 0
@@ -96,6 +98,7 @@ class Replay:
         record = read_record(row.record, where=f"record {row.seq}")
         sealed = read_sealed(row.sealed, where=f"record {row.seq}")
         values = {name: item.value for name, item in sealed.items()}
+        wrong_repair = self._repairs.note(record)
         if record.kind == "genesis":
             self._require_root(record)
         if record.kind != "decision":
@@ -106,7 +109,8 @@ class Replay:
             self._sources.pass_by(record, values)
             return None
         self.decisions += 1
-        return self._decided(record, self._sources.inputs(record, values))
+        found = self._sources.inputs(record, values)
+        return self._decided(record, Forged(wrong_repair) if wrong_repair else found)
 
     def not_sealed(self, row: Row, error: AuthenticityError | MalformedError) -> Difference:
         """Return what is wrong with a row whose boxes no gate has sealed."""

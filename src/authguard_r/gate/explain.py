@@ -100,6 +100,7 @@ def _explained(
         "smallest_change": change,
         **({"closed": closed.plain()} if closed else {}),
         "text": _lines(record, who=who, what=what, why=why)
+        + [f"  {link}" for link in repaired_by(record)]
         + ([f"  {closed.words()}"] if closed else [])
         + [f"  influenced by {i['channel']}: `{i['value']}`" for i in influences]
         + [f"  to do: {mend}" for mend in mends]
@@ -136,6 +137,14 @@ def hazards_of(record: Record) -> tuple[str, ...]:
     return tuple(map(str, hazards)) if isinstance(hazards, list) else ()
 
 
+def repaired_by(record: Record) -> list[str]:
+    """Return which refused decision a record is the repair of, in words; none: of none."""
+    if "repairs" not in record.open:
+        return []
+    seq = record.open["repairs"]
+    return ["repairs a decision that had no record yet" if seq == -1 else f"repairs record {seq}"]
+
+
 def verdict_of(record: Record) -> str:
     """Return what both gates say together: `unsafe` where the mission alone would accept."""
     said = record.link.decision
@@ -163,6 +172,7 @@ def _what(record: Record, action: Any) -> str:
         return _named(record)
     names = ("object", "source", "destination")
     fields = [f"{name} {action[name]}" for name in names if action.get(name)]
+    fields += [f"by={','.join(map(str, action['route']))}"] if action.get("route") else []
     fields += [f"{name}={value}" for name, value in (action.get("params") or {}).items()]
     return " ".join([str(action.get("type", "...")), *fields])
 

@@ -16,7 +16,7 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.geometry import Point, Polygon, comes_within, edges_of
 from authguard_r.core.identifiers import RegionId
 from authguard_r.core.safety import Hazard, SafetyFinding
-from authguard_r.safety.config import SPEED
+from authguard_r.safety.config import SPEED, SPEEDS
 
 #: What the envelope's findings put before the largest allowed value.
 AT_MOST = "at most "
@@ -51,7 +51,7 @@ def repair_of(
     params, route = dict(action.params), action.route
     if fast:
         most = min(int(finding.expected.removeprefix(AT_MOST)) for finding in fast)
-        if params.get(SPEED, most) <= most:  # no speed to lower, or a fast way backwards
+        if params.get(SPEED, most) <= most:  # no speed to lower, or a negative one
             return None
         params[SPEED] = most
     if passed:
@@ -62,18 +62,26 @@ def repair_of(
 
 
 def is_narrower(repair: Action, action: Action) -> bool:
-    """True when a repair is the action with fewer regions on its route and no greater number.
+    """True when a repair is the action with fewer regions on its route and lower speeds.
 
-    Whatever gate offers a repair, the enforcer proposes no other one.
+    The enforcer proposes no other repair, whichever safety gate offers it. Only a speed that the
+    envelope bounds may change, and only toward zero with its sign: a lower number is not safer for
+    every parameter, and -5000 is faster than 500.
     """
     asked = iter(action.route)
     shorter = all(region in asked for region in repair.route)  # in the same order
-    lower = repair.params.keys() == action.params.keys() and all(
-        value <= action.params[name] for name, value in repair.params.items()
+    slower = repair.params.keys() == action.params.keys() and all(
+        value == action.params[name] or (name in SPEEDS and _is_slower(value, action.params[name]))
+        for name, value in repair.params.items()
     )
     emptied = bool(action.route) and not repair.route
     same = replace(repair, params=action.params, route=action.route, provenance={}, meta=None)
-    return shorter and lower and not emptied and same == replace(action, provenance={}, meta=None)
+    return shorter and slower and not emptied and same == replace(action, provenance={}, meta=None)
+
+
+def _is_slower(speed: int, asked: int) -> bool:
+    """True when a speed is between zero and the speed that was asked for."""
+    return min(asked, 0) <= speed <= max(asked, 0)
 
 
 def _is_passed(finding: SafetyFinding) -> bool:

@@ -162,6 +162,35 @@ def test_what_is_more_than_narrower_is_no_repair() -> None:
         assert not is_narrower(replace(action, **change), action), change
 
 
+@pytest.mark.parametrize(
+    ("name", "asked", "offered", "expected"),
+    [
+        ("speed_mm_s", 500, 499, True),
+        ("speed_mm_s", 500, 0, True),
+        ("speed_mm_s", 500, -1, False),
+        ("speed_mm_s", 500, -5_000, False),
+        ("speed_mm_s", -500, -499, True),
+        ("speed_mm_s", -500, 0, True),
+        ("speed_mm_s", -500, -501, False),
+        ("speed_mm_s", -500, 1, False),
+        ("speed_mm_s", 0, -1, False),
+        ("speed_mm_s", 0, 1, False),
+        ("linear_mm_s", 500, 499, True),
+        ("lateral_mm_s", -500, -501, False),
+        ("force_mn", 500, 499, False),
+        ("height_mm", 500, 499, False),
+        ("angular_mrad_s", 500, 499, False),
+    ],
+)
+def test_only_a_bounded_speed_changes_and_only_toward_zero(
+    name: str, asked: int, offered: int, expected: bool
+) -> None:
+    action = go(*THROUGH, params={name: asked, "wait_ms": 10})
+    changed = msgspec.structs.replace(action, params={name: offered, "wait_ms": 10})
+    assert is_narrower(action, action)
+    assert is_narrower(changed, action) is expected
+
+
 WALLS = {
     frozenset((one, other))
     for one, other in (
@@ -203,7 +232,8 @@ def require_narrower(repair: Action, action: Action, config: SafetyConfig) -> No
     assert changed
     assert changed <= {"route", "params"}
     assert repair.params.keys() == action.params.keys()
-    assert all(value <= action.params[name] for name, value in repair.params.items())
+    if "params" in changed:
+        assert 0 <= repair.params["speed_mm_s"] < action.params["speed_mm_s"]
     assert not Counter(repair.route) - Counter(action.route)
     if "route" in changed:
         assert list(repair.route) == [r for r in action.route if r not in config.keep_out] != []

@@ -19,10 +19,11 @@ from authguard_r.cli import call
 from authguard_r.client import AsyncGateClient
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import b64
-from authguard_r.core.mission import Mission
+from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.standing import Outcome
+from authguard_r.gate.explain import repaired_by
 from authguard_r.gate.process import Rendezvous
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger
@@ -31,7 +32,7 @@ from authguard_r.safety import default_config
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import ClientRole, Kind, Propose
 from fixtures import estop_fixtures, scenarios
-from missionpair.bench import approve, make_bench
+from missionpair.bench import Bench, Scene, approve, make_bench
 from missionpair.bench import propose as begin
 from missionpair.suite import restricted
 from unit.gate.demo_site import Guest, House
@@ -152,19 +153,66 @@ def test_what_is_safe_runs_as_it_was_proposed() -> None:
     assert len(decisions(sim)) == 1
 
 
-def test_a_repair_is_not_covered_by_the_approval_of_what_was_proposed(tmp_path: Path) -> None:
-    bench = make_bench(tmp_path / "trust")
-    scene = restricted(bench)
+ISOLATED = scenarios.navigate("dock", "isolation-room", speed=800)
+
+
+def approved_near_a_person(bench: Bench, scene: Scene) -> Scene:
+    """Return the scene with its plan approved, and a person who came near after that."""
     begin(scene)
     approve(bench, scene, "supervisor-1", "supervisor-2")
-    scene.sim.robot.state = msgspec.structs.replace(scene.sim.robot.state, human_distance_mm=500)
-    scene.sim.robot.pause(100)
-    report = propose(scene.sim, scenarios.navigate("dock", "isolation-room", speed=800))
-    _, refused, again = decisions(scene.sim)
+    place_person(scene, 500)
+    return scene
+
+
+def place_person(scene: Scene, distance_mm: int) -> None:
+    robot = scene.sim.robot
+    robot.state = msgspec.structs.replace(robot.state, human_distance_mm=distance_mm)
+    robot.pause(100)
+
+
+def test_a_repair_opens_no_request_in_place_of_the_one_that_its_step_needs(
+    tmp_path: Path,
+) -> None:
+    bench = make_bench(tmp_path / "trust")
+    scene = approved_near_a_person(bench, restricted(bench))
+    before = scene.standing()
+    for _ in range(2):
+        report = propose(scene.sim, ISOLATED)
+        assert (report.outcome, scene.sim.robot.trace) == (None, [])
+        assert scene.standing() == before  # the request, its number and the prompts
+    _, refused, again, *_ = decisions(scene.sim)
     assert (refused.link.decision, refused.open["safety"]["safe"]) == ("accept", False)
     assert (again.link.decision, again.open["repairs"]) == ("request_approval", refused.link.seq)
-    assert "asks" in again.open
-    assert (report.outcome, scene.sim.robot.trace) == (None, [])
+    assert again.open["reasons"] == ["APPROVAL_REQUIRED"]
+    assert "asks" not in again.open
+    place_person(scene, 5_000)
+    report = propose(scene.sim, ISOLATED)  # with the approvals of before
+    assert (report.outcome, report.repairs) == (Outcome.SUCCEEDED, None)
+    (done,) = scene.sim.robot.trace
+    assert done.action.params == {"speed_mm_s": 800}
+
+
+def test_a_repair_that_another_grant_allows_asks_for_approvals_of_its_own(tmp_path: Path) -> None:
+    bench = make_bench(tmp_path / "trust")
+    scene = restricted(bench)
+    replace = msgspec.structs.replace
+
+    def limited(grant: Grant, low: int, high: int, **changes: Any) -> Grant:
+        (limit,) = grant.limits
+        return replace(grant, limits=(replace(limit, low=low, high=high),), **changes)
+
+    go, *others = scene.mission.actions
+    slowly = limited(go, 50, 400, id="go-slowly")
+    scene.mission = replace(scene.mission, actions=(limited(go, 401, 800), *others, slowly))
+    scene.sim = bench.simulation()
+    scene.sim.gate.management.activate(bench.sign(scene.mission))
+    approved_near_a_person(bench, scene)
+    before = scene.standing()
+    assert propose(scene.sim, ISOLATED).outcome is None
+    again, standing = decisions(scene.sim)[-1], scene.standing()
+    assert (again.open["grant"], again.open["asks"]) == ("go-slowly", 2)
+    assert set(standing.requests) == {"go-to-pharmacy", "go-slowly"}
+    assert standing.requests["go-to-pharmacy"] == before.requests["go-to-pharmacy"]
 
 
 class Offering:
@@ -190,6 +238,7 @@ class Offering:
         ({"route": ()}, 1),
         ({"destination": "public-corridor"}, 1),
         ({"params": {"speed_mm_s": 801}}, 1),
+        ({"params": {"speed_mm_s": -5_000}}, 1),
     ],
 )
 def test_one_repair_at_most_and_only_a_narrower_one(changes: dict[str, Any], decided: int) -> None:
@@ -255,6 +304,22 @@ def test_a_person_reads_what_was_refused_and_what_ran_instead(run: Any) -> None:
     assert lines[first + 2] == "repaired:"
     assert f"by={','.join(AROUND)}" in lines[first + 3]
     assert lines[first + 4] == "  -> succeeded"
+
+
+def test_an_auditor_reads_both_routes_and_which_record_the_repair_repairs(run: Any) -> None:
+    run("--repair")
+    _, told = run.asked("audit", "show", run.store, "--kind", "decision")
+    first, second = told.splitlines()
+    seq = int(first.split()[0])
+    assert f"dock -> pharmacy by={','.join(THROUGH)} speed_mm_s=800: KEEP_OUT" in first
+    assert f"by={','.join(AROUND)} speed_mm_s=800, repairs record {seq} -> succeeded" in second
+    assert "repairs" not in first
+    _, told = run.asked("audit", "explain", run.store, seq)
+    assert f"destination pharmacy by={','.join(THROUGH)} speed_mm_s=800" in told
+    assert "repairs" not in told
+    _, told = run.asked("audit", "explain", run.store, seq + 1)
+    assert f"destination pharmacy by={','.join(AROUND)} speed_mm_s=800" in told
+    assert f"\n  repairs record {seq}\n" in told
 
 
 # a gate's process and its clients
@@ -336,4 +401,5 @@ def test_a_flood_of_repairs_that_are_refused_costs_no_commit_each() -> None:
         assert (refused.link.decision, again.link.decision) == ("accept", "reject")
         assert again.open["repairs"] == -1  # what it repairs waited for the same commit
         assert again.open["repairs_action"] == refused.link.action
+        assert repaired_by(again) == ["repairs a decision that had no record yet"]
         assert house.robot.trace == []
