@@ -9,6 +9,7 @@ Verification" (the registry R, status `issued`). Spec page: docs/spec/standing.m
 from __future__ import annotations
 
 from authguard_r.core.encoding import encode_fast
+from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.standing import Standing
@@ -46,11 +47,50 @@ def registered(act: Act, mid: MissionId, digest: Digest) -> Standing | None:
 def issued(act: Act) -> tuple[Standing, ...]:
     """Return every mission version whose status is `issued`, in the order of handing in.
 
-    Raises:
-        StoreError: what is held is none.
+    A damaged entry is left out: it authorizes nothing, and `damaged` names it.
     """
-    found = (registered(act, mid, digest) for mid, digest in _names(act))
-    return tuple(one for one in found if one is not None and one.status is Status.ISSUED)
+    return _read(act)[0]
+
+
+def damaged(act: Act) -> tuple[str, ...]:
+    """Return what is wrong with each entry that cannot be read, and its mission."""
+    return tuple(str(fault) for fault in _read(act)[1])
+
+
+def require_readable(act: Act) -> None:
+    """Require that every entry can be read, before a mission is issued or activated.
+
+    Raises:
+        StoreError: the first entry that is damaged.
+    """
+    for fault in _read(act)[1]:
+        raise fault
+
+
+def _read(act: Act) -> tuple[tuple[Standing, ...], tuple[StoreError, ...]]:
+    found: list[Standing] = []
+    try:
+        names = _names(act)
+    except StoreError as error:
+        return (), (_damage("the list of issued missions", error),)
+    faults: list[StoreError] = []
+    for mid, digest in names:
+        try:
+            one = registered(act, mid, digest)
+        except StoreError as error:
+            faults.append(_damage(f"the entry of the issued mission `{mid}`", error))
+            continue
+        if one is not None and one.status is Status.ISSUED:
+            found.append(one)
+    return tuple(found), tuple(faults)
+
+
+def _damage(what: str, error: StoreError) -> StoreError:
+    text = (
+        f"{what} is damaged ({error.message}): no mission is issued or activated until the newest "
+        "whole store is in place (docs/howto/rollback.md); suspend, revoke and stop still work"
+    )
+    return StoreError(text, where=error.where, reason=error.reason)
 
 
 def hold_issued(act: Act, standing: Standing) -> None:
@@ -66,7 +106,11 @@ def hold_issued(act: Act, standing: Standing) -> None:
         act.put(_KIND, standing.digest, encode_fast(standing))
     if standing.status in TERMINAL and act.seals:
         act.drop_token(standing.digest)
-    _hold_names(act, standing)
+    named, names = (standing.mid, standing.digest), _names(act)
+    kept = tuple(name for name in names if name != named)
+    if standing.status is Status.ISSUED:
+        kept = names if named in names else (*names, named)
+    _hold_names(act, kept)
 
 
 def take_issued(act: Act, active: Standing) -> None:
@@ -74,15 +118,11 @@ def take_issued(act: Act, active: Standing) -> None:
     act.hold(active)
     if act.get(_KIND, active.digest):
         act.put(_KIND, active.digest, b"")
-    _hold_names(act, active)
+    _hold_names(act, tuple((one.mid, one.digest) for one in issued(act)))
 
 
-def _hold_names(act: Act, changed: Standing) -> None:
-    kept = [(one.mid, one.digest) for one in issued(act)]
-    added = (changed.mid, changed.digest)
-    if changed.status is Status.ISSUED and added not in kept:
-        kept.append(added)
-    if tuple(kept) != _names(act):
+def _hold_names(act: Act, kept: tuple[tuple[MissionId, Digest], ...]) -> None:
+    if kept != _names(act):
         act.put(_KIND, _NAMES, encode_fast(kept))
 
 

@@ -176,6 +176,17 @@ def test_a_mission_whose_signers_certificate_ended_gives_way_too(folder: Path) -
         assert ward.status("second") == "active"
 
 
+def test_an_issued_mission_whose_signers_certificate_ended_expires(folder: Path) -> None:
+    with Ward(folder, estimator=False, robot=False) as ward:
+        ward.house.activate()
+        second = ward.signed(mission("second", "operator-2"), "operator-2")
+        assert ward.management.issue(second).status == "issued"
+        ward.house.clock.ms += ENDS_MS + 1_000
+        ward.management.command(ward.order(Verb.SUSPEND, "operator-1"))
+        assert ward.lapses() == [("second", "expired", ["CERTIFICATE_EXPIRED"])]
+        assert (ward.status(), ward.status("second")) == ("suspended", "expired")
+
+
 def test_a_mission_whose_signature_holds_gives_way_to_nobody(folder: Path) -> None:
     with Ward(folder) as ward:
         ward.house.activate()

@@ -90,6 +90,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         for m in status.get("issued") or []
         if isinstance(m, dict)
     ]
+    lines += [f"DAMAGED: {text}" for text in status.get("damaged") or []]
     lines += _stand_lines(status.get("stop_stands")) + _emergency_lines(status.get("emergency"))
     for lease in status.get("leases") or []:
         ticket = str(lease.get("ticket"))[:_SHORT]

@@ -36,6 +36,7 @@ class _Counted(Struct):
     #: As the last record about it says; None: none has said it.
     status: str | None = None
     version: object = None
+    digest: object = None
     #: Numbers of the approval requests that a denial closed.
     denied: set[str] = field(default_factory=set)
 
@@ -52,12 +53,16 @@ class Standings:
         """Count a record; return what does not hold of it, empty when it does."""
         mid, kind, said = record.link.mid, record.kind, record.link.decision
         if kind == "management" and said == "activate":
-            self._missions.setdefault(mid, _Counted()).version = record.open.get("version")
+            active = self._missions.setdefault(mid, _Counted())
+            active.version, active.digest = (record.open.get(n) for n in ("version", "mission"))
         counted = self._missions.get(mid)
         if counted is None:
             return "" if kind != "outcome" else "an outcome of a mission that was never active"
-        # an issued version has a status of its own
-        is_active = record.open.get("version", counted.version) == counted.version
+        # an issued version has a status of its own; older logs name it by its version alone
+        is_active = all(
+            record.open.get(name, known) == known
+            for name, known in (("version", counted.version), ("mission", counted.digest))
+        )
         if kind == "management" and is_active and isinstance(record.open.get("status"), str):
             counted.status = record.open["status"]
         if kind == "management" and said == "answer" and record.open.get("closes") is True:
@@ -125,6 +130,7 @@ def _settle_as(counted: _Counted, standing: Standing) -> None:
 def _adopt(counted: _Counted, standing: Standing) -> None:
     """Count on from a standing that differed: it is told once, however many follow it."""
     counted.version, counted.status = standing.version, standing.status
+    counted.digest = standing.digest
     counted.open = {release.ticket: release.grant for release in standing.open}
     counted.starts = Counter({grant: use.starts for grant, use in standing.uses.items()})
     counted.successes = Counter({grant: use.successes for grant, use in standing.uses.items()})

@@ -30,7 +30,7 @@ from authguard_r.gate.explain import explanation, is_refused_proposal, no_record
 from authguard_r.gate.liveness import Liveness, MissionPhase
 from authguard_r.gate.motions import Motions
 from authguard_r.intake import Intake
-from authguard_r.issued import issued
+from authguard_r.issued import damaged, issued
 from authguard_r.ledger import Act, stop_stands
 from authguard_r.report import Report
 from authguard_r.running import quietly
@@ -71,6 +71,7 @@ class View:
         self._since_ms = gate.ledger.mono_ms()
         self._known: dict[str, Any] | None = None
         self._issued: list[dict[str, Any]] = []
+        self._damaged: tuple[str, ...] = ()
         self._changed = True
         self.counted: Counter[str] = Counter()
         self.stops = 0
@@ -142,6 +143,7 @@ class View:
             "uptime_ms": self.uptime_ms,
             "mission": self._active(),
             "issued": self._issued,
+            "damaged": self._damaged,
             "leases": [
                 {
                     "ticket": lease.ticket,
@@ -283,6 +285,7 @@ class View:
     def _mission(self, act: Act) -> dict[str, Any] | None:
         intake = self._gate.enforcer.intake
         self._issued = [_shown_issued(act, intake, one) for one in issued(act)]
+        self._damaged = damaged(act)
         mid = act.active()
         standing = None if mid is None else act.standing(mid)
         if standing is None:

@@ -12,11 +12,13 @@ Spec page: docs/spec/standing.md#commands
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.ports import Verifier
@@ -128,11 +130,9 @@ class Management:
         def job(act: Act) -> TemplateStanding:
             if read_token(token).kind is not Tag.COMMAND:
                 return admit(act, token, confirmation, parts=self._parts)
-            gone = withdraw(act, token, parts=self._parts)
-            end_issued(act, self._parts)  # those that were made of it
-            return gone
+            return withdraw(act, token, parts=self._parts)
 
-        return self._do(job)
+        return self._narrow(job)  # it ends the issued missions that were made of it
 
     def command(self, token: bytes) -> Standing:
         """Carry out a signed command about a mission once.
@@ -140,7 +140,7 @@ class Management:
         Raises:
             AuthGuardError: malformed, not authentic, not allowed, or not possible now.
         """
-        return self._order(lambda act: carry_out(act, token, parts=self._parts))
+        return self._narrow(lambda act: carry_out(act, token, parts=self._parts))
 
     def accept_store(self, token: bytes) -> AcceptedStore:
         """Go on with a store that was put back, as a signed order says; the counter is written.
@@ -312,6 +312,16 @@ class Management:
         """End the issued missions that ended by themselves, for good; then carry an order out."""
         self._do(lambda act: end_issued(act, self._parts))
         return self._do(job)
+
+    def _narrow(self, job: Callable[[Act], T]) -> T:
+        """Carry an order out; end issued missions behind it, so that they do not stop or delay it.
+
+        A mission that cannot be ended now authorizes nothing, and the next order ends it.
+        """
+        done = self._do(job)
+        with suppress(AuthGuardError):  # the order is on disk already
+            self._ledger.run(lambda act: end_issued(act, self._parts), essential=True)
+        return done
 
     def _do(self, job: Callable[[Act], T]) -> T:
         """Carry an order out, unless the store was put back and nobody has accepted it."""

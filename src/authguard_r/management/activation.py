@@ -24,7 +24,14 @@ from authguard_r.core.provenance import WIDEST
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, advance, carry_over, issue
 from authguard_r.core.token import VerifiedMission, read_token
-from authguard_r.issued import MOST_ISSUED, hold_issued, issued, registered, take_issued
+from authguard_r.issued import (
+    MOST_ISSUED,
+    hold_issued,
+    issued,
+    registered,
+    require_readable,
+    take_issued,
+)
 from authguard_r.ledger import Act, stop_stands
 from authguard_r.management.parts import Parts, entry, refuse, replayed
 from authguard_r.management.repetition import Used, use_instance
@@ -65,6 +72,7 @@ def hand_in(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts)
     The standing of a version before it stays as it is. What is handed in waits with the status
     `issued` and authorizes nothing.
     """
+    require_readable(act)
     offered = _offered(act, token, confirmation, parts)
     verified, mid = offered.verified, offered.verified.mission.mid
     _require_usable(verified, act, parts)
@@ -94,6 +102,7 @@ def hand_in(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts)
 
 def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts) -> Standing:
     """Make a mission active that is issued, or take it in first: the same kinds as `hand_in`."""
+    require_readable(act)
     offered = _offered(act, token, confirmation, parts)
     verified, mission = offered.verified, offered.verified.mission
     _require_usable(verified, act, parts)
@@ -171,6 +180,8 @@ def _offered(act: Act, token: bytes, confirmation: bytes | None, parts: Parts) -
 
 def end_issued(act: Act, parts: Parts, *, mid: MissionId | None = None) -> None:
     """End every issued mission version that ended without an order, with one `lapse` record each.
+
+    A damaged entry stays as it is; it keeps no other from its end.
 
     Args:
         act: the act.

@@ -19,7 +19,6 @@ from authguard_r.core.token import Principal, open_token
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.issued import hold_issued, registered
 from authguard_r.ledger import Act
-from authguard_r.management.activation import end_issued
 from authguard_r.management.parts import (
     Parts,
     entry,
@@ -68,11 +67,10 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
         "by": signer.id,
         "role": signer.role,
         "version": command.version,
+        "mission": command.mission,
         "status": after.status,
     }
     act.record(entry(act, command.mid, opened, {"command": command}))
-    if after.status in TERMINAL:
-        end_issued(act, parts, mid=command.mid)
     return after
 
 
@@ -96,6 +94,10 @@ def _require_current(
     standing = registered(act, command.mid, command.mission)
     if standing is None:
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
+    if command.version != standing.version:
+        text = f"expected {standing.version}, the version of `{command.mission}`, got "
+        text += f"{command.version}: sign the order anew"
+        raise refuse(Reason.MISSION_UNKNOWN, text, "command.version")
     if not signer.scope.covers(standing.rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
     if command.verb in ENDING:

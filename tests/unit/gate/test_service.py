@@ -39,6 +39,19 @@ from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, Hous
 from unit.sim.desks import NONCE
 
 
+def test_status_names_damage_to_issued_missions_beside_the_active_one() -> None:
+    with House(robot=False, estimator=False) as house:
+        house.activate()
+        auditor = house.enter(ClientRole.AUDITOR)
+        assert auditor.ask(Kind.STATUS)["damaged"] == []
+        house.gate.ledger.run(lambda act: act.put("issued", "names", b"{"))
+        house.service.view.mission_changed()
+        shown = auditor.ask(Kind.STATUS)
+        (text,) = shown["damaged"]
+        assert "STORE_CORRUPT: the list of issued missions is damaged" in text
+        assert (shown["issued"], shown["mission"]["status"]) == ([], "active")
+
+
 def test_who_asks_with_a_nonce_gets_a_proof_over_it() -> None:
     with House(robot=False, estimator=False) as house:
         guest = house.knock(ClientRole.PLANNER)

@@ -12,20 +12,23 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.approvals import Selection
 from authguard_r.audit.record import Record, read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.cli.replay_standing import Standings
 from authguard_r.commands import Verb
-from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.issued import MOST_ISSUED, issued, registered
+from authguard_r.core.token import sign_object
+from authguard_r.issued import MOST_ISSUED, damaged, issued, registered
+from authguard_r.management.orders import carry_out
 from authguard_r.report import Report
 from fixtures import scenarios, sealed_logs, templates
-from fixtures.restarting_gate import Station, go
+from fixtures.restarting_gate import Station, go, signer
 
 MINUTE_MS = 60_000
 
@@ -181,6 +184,43 @@ def test_no_other_order_changes_an_issued_mission(verb: Verb) -> None:
     assert status(here, mission()) == "issued"
 
 
+def test_a_row_of_an_issued_mission_is_not_chosen() -> None:
+    here = Station()
+    hand_in(here, mission())
+    value = mission()
+    choice = Selection(
+        mid=value.mid,
+        version=value.version,
+        mission=digest_of(Tag.MISSION, value),
+        grant=value.actions[0].id,
+        row=0,
+        nonce=b64(b"choice"),
+        expires_ms=here.robot.wall_ms() + MINUTE_MS,
+        issued_ms=here.robot.wall_ms(),
+    )
+    before = here.standing("one")
+    token = sign_object(choice, Tag.SELECTION, signer("operator-1"))
+    assert refused(here.gate.management.select, token)[0] == "MISSION_NOT_ACTIVE"
+    assert here.standing("one") == before
+
+
+@pytest.mark.parametrize("verb", [Verb.SUSPEND, Verb.REVOKE])
+def test_an_order_that_misnames_its_version_is_refused(verb: Verb) -> None:
+    here = Station()
+    activate(here, mission())
+    hand_in(here, mission(version=2))
+    for value, wrong in ((mission(), 2), (mission(version=2), 1)):
+        order = here.order(value, verb, version=wrong)
+        with pytest.raises(AuthGuardError) as error:
+            here.gate.management.command(order)
+        assert (str(error.value.reason), error.value.where) == (
+            "MISSION_UNKNOWN",
+            "command.version",
+        )
+        assert f"expected {value.version}" in error.value.message
+    assert (status(here, mission()), status(here, mission(version=2))) == ("active", "issued")
+
+
 def test_nobody_else_revokes_an_issued_mission() -> None:
     here = Station()
     hand_in(here, mission())
@@ -332,12 +372,68 @@ def test_a_damaged_issued_mission_keeps_nobody_from_an_order() -> None:
     assert status(here, mission()) == "issued"
 
 
-@pytest.mark.parametrize("damaged", [b"{", b'[["one"]]'])
-def test_a_damaged_list_of_issued_missions_is_said(damaged: bytes) -> None:
+def spoil(here: Station, what: str) -> None:
+    """Damage an entry about issued missions: the list of all, an update, or another mission."""
+    update = digest_of(Tag.MISSION, mission("other", 2))
+    kind, key = {
+        "list": ("issued", "names"),
+        "update": ("issued", update),
+        "mission": ("standing", "one"),
+    }[what]
+    assert here.store._held[kind, key]
+    here.store._held[kind, key] = b"{"
+    here.kill()
+
+
+@pytest.mark.parametrize("verb", [Verb.SUSPEND, Verb.REVOKE])
+@pytest.mark.parametrize("what", ["list", "update", "mission"])
+def test_damage_to_issued_missions_stops_no_order_that_narrows(what: str, verb: Verb) -> None:
     here = Station()
-    here.gate.ledger.run(lambda act: act.put("issued", "names", damaged))
+    activate(here, mission("other"))
+    hand_in(here, mission("other", 2))
+    hand_in(here, mission())
+    spoil(here, what)
+    here.gate.management.command(here.order(mission("other"), verb))
+    after = {Verb.SUSPEND: "suspended", Verb.REVOKE: "revoked"}[verb]
+    assert status(here, mission("other")) == after
+    if verb is Verb.REVOKE and what == "mission":  # what can be read ends with its mission
+        assert status(here, mission("other", 2)) == "revoked"
+    (text,) = here.gate.ledger.run(damaged)
+    assert {"list": "the list", "update": "`other`", "mission": "`one`"}[what] in text
+    size = len(records(here))
+    for act in (hand_in, activate):
+        reason, said = refused(act, here, mission("more"))
+        assert (reason, "rollback.md" in said) == ("STORE_CORRUPT", True)
+    assert (status(here, mission("more")), len(records(here))) == (None, size)
+
+
+def test_an_order_that_narrows_is_carried_out_before_issued_missions_are_looked_at() -> None:
+    here = Station()
+    activate(here, mission("other"))
+    hand_in(here, mission(window={"for": "10 min"}))
+    here.jump(11 * MINUTE_MS)
+    here.gate.management.command(here.order(mission("other"), Verb.SUSPEND))
+    assert verbs(here)[-2:] == [("suspend", "other", "suspended"), ("lapse", "one", "expired")]
+
+
+@pytest.mark.parametrize("data", [b"{", b'[["one"]]'])
+def test_a_damaged_list_of_issued_missions_is_said(data: bytes) -> None:
+    here = Station()
+    here.gate.ledger.run(lambda act: act.put("issued", "names", data))
     with pytest.raises(StoreError):
         hand_in(here, mission())
+
+
+def test_damage_to_issued_missions_stops_no_withdrawal() -> None:
+    sim = templates.admitted()
+    management = sim.gate.management
+    management.activate(templates.token())
+    management.issue(templates.token(templates.instance(2)))
+    sim.gate.ledger.run(lambda act: act.put("issued", "names", b"{"))
+    assert management.template(templates.withdrawal()).withdrawn
+    standing = management.standing("deliver.1")  # type: ignore[arg-type]
+    assert standing is not None
+    assert standing.status == "revoked"
 
 
 # templates
@@ -378,7 +474,68 @@ def test_the_log_of_issued_missions_is_replayed() -> None:
     assert "suspended" in counted.wrong(replace(standing, status=Status.ACTIVE))
 
 
+def test_the_replay_tells_two_tokens_of_one_version_apart() -> None:
+    here = Station()
+    activate(here, mission())
+    other = mission(version=2, task="Something else.")
+    for value in (mission(version=2), other):
+        hand_in(here, value)
+    activate(here, other)  # it ends its sibling, with a `lapse` of version 2
+    lapse = records(here)[-1]
+    assert (lapse.open["status"], lapse.open["version"]) == ("superseded", 2)
+    counted = Standings()
+    assert "".join(counted.note(record, {}) for record in records(here)) == ""
+    standing = here.standing("one")
+    assert standing is not None
+    assert counted.wrong(standing) == ""
+    changed = replace(standing, status=Status.SUSPENDED)  # by nobody's order
+    assert "by the records before it active" in counted.wrong(changed)
+
+
+def test_the_record_of_an_order_names_the_digest_of_its_version() -> None:
+    here = Station()
+    activate(here, mission())
+    for value in (mission(version=2), mission(version=2, task="Something else.")):
+        hand_in(here, value)
+        here.gate.management.command(here.order(value, Verb.REVOKE))
+        assert records(here)[-1].open["mission"] == digest_of(Tag.MISSION, value)
+
+
 # sealed logs
+
+
+@pytest.mark.parametrize("way", ["retention", "order", "crash"])
+def test_an_update_that_waits_is_destroyed_with_its_mission(tmp_path: Path, way: str) -> None:
+    (tmp_path / "store").mkdir()
+    path = tmp_path / "store" / "robot.db"
+    data = sealed_logs.DataClass.REGION
+    kept = sealed_logs.policy(retention=(sealed_logs.rule(data, most_ms=MINUTE_MS),))
+    with sealed_logs.sealing(path, kept) as sim:
+        management = sim.gate.management
+        first = sealed_logs.active(sim)
+        digest = digest_of(Tag.MISSION, first)
+        update = scenarios.mission(version=2, supersedes=digest, window={"for": "50 min"})
+        waits = digest_of(Tag.MISSION, update)
+        management.issue(scenarios.token(update))
+        assert sim.gate.ledger.run(lambda act: act.token(waits)) is not None
+        if way != "retention":
+            revoke = sealed_logs.command(sim, Verb.REVOKE, first)
+            if way == "order":
+                management.command(revoke)
+            else:  # the gate ends right behind the commit of the order
+                sim.gate.ledger.run(lambda act: carry_out(act, revoke, parts=management._parts))
+            management.shred(sealed_logs.shred_order(sim, first.mid, data))
+        else:
+            sim.robot.pause(35 * MINUTE_MS)
+            (done,) = management.retire().begun
+            assert done.mid == first.mid
+        while management.shred_on():
+            pass
+        assert sim.gate.ledger.run(issued) == ()
+        assert sim.gate.ledger.run(lambda act: act.token(waits)) is None
+    rows = sealed_logs.opened(sealed_logs.rows_of(path))
+    tokens = [row for row in rows if sealed_logs.told(row).link.decision == "issue"]
+    assert [sealed_logs.values(row) for row in tokens] == [{}, {}]
 
 
 def test_an_issued_mission_that_expired_is_retired_like_any_other(tmp_path: Path) -> None:
