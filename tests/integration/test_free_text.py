@@ -341,8 +341,8 @@ def test_a_text_that_cannot_be_read_reaches_no_model(console: Console) -> None:
         ("--base-url", "http://127.0.0.1:9/v1"),
         ("--model", "m"),
         ("--api-key-env", "KEY"),
+        ("--timeout", "120"),
         ("--plan-out", "p.json"),
-        ("--free-text", "openai", "--base-url", "http://127.0.0.1:9", "--model", "m", "--jsonl"),
         ("--free-text", "yes"),
     ],
 )
@@ -351,6 +351,13 @@ def test_free_text_is_asked_for_whole_or_not_at_all(
 ) -> None:
     code, made, _ = console("normalize", *SITE, *options, stdin=TEXT.encode())
     assert (code, made["error"]["code"]) == (2, "USAGE")
+
+
+def test_free_text_is_one_text_and_no_lines(console: Console) -> None:
+    server = ("--free-text", "openai", "--base-url", "http://127.0.0.1:9", "--model", "m")
+    code, made, _ = console("normalize", *SITE, *server, "--jsonl", stdin=TEXT.encode())
+    assert (code, made["error"]["code"]) == (2, "USAGE")
+    assert "`--free-text` cannot be used with `--jsonl`" in made["error"]["message"]
 
 
 def test_without_the_option_free_text_is_refused_as_it_was(console: Console) -> None:

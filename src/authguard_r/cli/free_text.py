@@ -13,6 +13,7 @@ from typing import Any
 import typer
 from msgspec import Struct
 
+from authguard_r.cli.model_server import TIMEOUT_S
 from authguard_r.compile.units import to_integer
 from authguard_r.core.identifiers import ParameterId
 from authguard_r.normalize import Dialect, Plan
@@ -74,7 +75,7 @@ class FreeTextReader(Struct, frozen=True, kw_only=True):
         made = parse_free_text(
             chat(reach),
             text,
-            schema=words_for_model(binding, site),
+            schema=model_prompt_schema(binding, site),
             read=lambda reply: read_json(reply, where="reply"),
         )
         plan = normalize_stated(
@@ -105,7 +106,7 @@ def free_text_reader(
     base_url: str | None,
     model: str | None,
     api_key_env: str | None,
-    total_s: float,
+    total_s: float | None,
 ) -> FreeTextReader | None:
     """Return the reader that the options ask for; None without `--free-text`.
 
@@ -113,10 +114,11 @@ def free_text_reader(
         BadParameter: `--free-text` without a server and a model, or these without it.
     """
     if protocol is None:
-        if not base_url and not model and not api_key_env:
+        if not base_url and not model and not api_key_env and total_s is None:
             return None
         raise typer.BadParameter(
-            "--base-url, --model and --api-key-env need --free-text openai or --free-text anthropic"
+            "--base-url, --model, --api-key-env and --timeout need --free-text openai or "
+            "--free-text anthropic"
         )
     if not base_url or not model:
         raise typer.BadParameter(f"--free-text {protocol} needs --base-url and --model")
@@ -125,11 +127,11 @@ def free_text_reader(
         base_url=base_url,
         model=model,
         api_key_env=api_key_env,
-        total_s=total_s,
+        total_s=TIMEOUT_S if total_s is None else total_s,
     )
 
 
-def words_for_model(binding: Binding, site: Site) -> dict[str, Any]:
+def model_prompt_schema(binding: Binding, site: Site) -> dict[str, Any]:
     """Return what a model is shown beside the text: the tools' arguments and the site's names.
 
     Nothing of a mission, a policy, a limit or a map is in it.

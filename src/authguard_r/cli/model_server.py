@@ -8,15 +8,22 @@ from typing import Annotated
 import typer
 
 BaseUrlOption = Annotated[
-    str | None, typer.Option("--base-url", help="The model server; nothing else is spoken to.")
+    str | None,
+    typer.Option("--base-url", help="Address of the model server; no other server is contacted."),
 ]
 ModelOption = Annotated[str | None, typer.Option("--model", help="The model's name there.")]
 ApiKeyEnvOption = Annotated[
     str | None, typer.Option("--api-key-env", help="Environment variable with the key.")
 ]
-TimeoutOption = Annotated[
-    float,
-    typer.Option("--timeout", min=0.1, max=3600, help="Seconds that the model may take in all."),
-]
 #: Seconds that a model may take in all where no `--timeout` was given.
 TIMEOUT_S = 120.0
+_TIMEOUT = typer.Option(
+    "--timeout",
+    min=0.1,
+    max=3600,
+    show_default=str(TIMEOUT_S),
+    help="Seconds that the model may take in all.",
+)
+TimeoutOption = Annotated[float, _TIMEOUT]
+#: For a command that refuses `--timeout` where no model is asked.
+OptionalTimeoutOption = Annotated[float | None, _TIMEOUT]

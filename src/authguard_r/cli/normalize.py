@@ -25,11 +25,10 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.model_server import (
-    TIMEOUT_S,
     ApiKeyEnvOption,
     BaseUrlOption,
     ModelOption,
-    TimeoutOption,
+    OptionalTimeoutOption,
 )
 from authguard_r.cli.out import emit
 from authguard_r.core.action import Action, ActionMeta
@@ -70,9 +69,9 @@ def normalize_command(
     base_url: BaseUrlOption = None,
     model: ModelOption = None,
     api_key_env: ApiKeyEnvOption = None,
-    timeout: TimeoutOption = TIMEOUT_S,
+    timeout: OptionalTimeoutOption = None,
     plan_out: Annotated[
-        Path | None, typer.Option("--plan-out", help="Where to write the model's plan.")
+        Path | None, typer.Option("--plan-out", help="File for the checked plan.")
     ] = None,
     now: NowOption = None,
     jsonl: Annotated[
@@ -82,8 +81,10 @@ def normalize_command(
 ) -> int:
     """Read planner output on standard input and print the actions it means, or a refusal."""
     reader = free_text_reader(free_text, base_url, model, api_key_env, timeout)
-    if (reader is not None and jsonl) or (reader is None and plan_out is not None):
-        raise typer.BadParameter("--plan-out needs --free-text, which reads no --jsonl")
+    if reader is not None and jsonl:
+        raise typer.BadParameter("`--free-text` cannot be used with `--jsonl`")
+    if reader is None and plan_out is not None:
+        raise typer.BadParameter("--plan-out needs --free-text openai or --free-text anthropic")
     place = load_site(site, trust, wall_now(now))
     bound = read_binding(binding, place)
     binder = Binder(place, bound)

@@ -10,6 +10,8 @@ Source: section "Normalized Actions". Spec page: docs/spec/normalize.md#free-tex
 from __future__ import annotations
 
 import re
+import unicodedata
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 from authguard_r.core.action import Action
@@ -19,7 +21,9 @@ from authguard_r.normalize import Plan, normalize
 from authguard_r.normalize.bind import Binder, site_spellings
 from authguard_r.normalize.binding import Binding, ToolBinding
 from authguard_r.normalize.dialects import Call, Dialect, read_reply
-from authguard_r.normalize.mentions import How, Names
+from authguard_r.normalize.folding import fold
+from authguard_r.normalize.mentions import How, Mention, Names
+from authguard_r.normalize.numerals import read_tokens
 from authguard_r.normalize.parse import read_text
 from authguard_r.site.model import Site
 
@@ -30,6 +34,8 @@ ReadQuantity = Callable[[str, str], int]
 MAX_FREE_TEXT = 1 << 14
 #: Most names of a place that a refusal lists.
 _LISTED = 8
+#: How many times as long as its name a look-alike may be.
+_NEAR = 4
 #: Most characters before a name in which white space is looked for.
 _MARKS = 8
 _BEFORE = re.compile(r"""(?:^|\s)[("'\[\u2018\u201c]*\Z""")
@@ -37,6 +43,24 @@ _AFTER = re.compile(r"""[)"'\]\u2019\u201d.,;:!?]*(?:\s|\Z)""")
 _OPENING, _CLOSING = "(\"'[\u2018\u201c", ")\"'].,;:!?\u2019\u201d"
 _WORD = re.compile(r"\S+")
 _NUMBER = re.compile(r"-?[0-9]+(?:\.[0-9]+)?")
+#: A letter or digit that shows something: four letters of Korean are blank.
+_SHOWN = re.compile(r"[^\W_\u115f\u1160\u3164\uffa0]")
+_PART = re.compile(r"[^\W_]+")
+#: Categories of signs: mathematical ones, and dashes.
+_SIGNS = frozenset({"Sm", "Pd"})
+#: Words that join the number before them with the number behind them.
+_JOINING = frozenset(
+    """and plus or to times by over of a an the another further more extra additional about
+    up through until till as well""".split()  # noqa: SIM905
+)
+#: Words beside a quantity that make it another one: operators, units, and numbers in words that
+#: `numerals` does not read.
+_CHANGING = frozenset(
+    """x e minus negative per divided squared cubed point percent half quarter dozen score couple
+    pair double triple twice thrice million billion trillion k
+    ms s sec min minute h hr hour day week month year mm cm m km meter metre n kn newton g kg
+    byte kb mb rad deg degree""".split()  # noqa: SIM905
+)
 
 
 def read_free_text(data: bytes) -> str:
@@ -106,6 +130,7 @@ class StatedText:
     def __init__(
         self, text: str, *, site: Site, tools: frozenset[str], quantity: ReadQuantity
     ) -> None:
+        text = " ".join(text.split())
         self._site = site
         self._quantity = quantity
         self._spelled: dict[tuple[str, str], tuple[str, ...]] = {
@@ -116,14 +141,13 @@ class StatedText:
         for thing, names in self._spelled.items():
             for name in names:
                 owners.setdefault(_spaced(name), set()).add(thing)
-        spans = list(_exact(Names(site_spellings(site)), text))
+        found = _exact(site_spellings(site), text)
+        spans = [(start, end) for start, end in found if not _numbered(text, start, end)]
         #: what each name in the text stands for: one thing, or several
         self._named = {frozenset(owners[_spaced(text[start:end])]) for start, end in spans}
         spelled = {tool.replace("_", " "): tool for tool in tools} | {tool: tool for tool in tools}
         called = {_spaced(name): tool for name, tool in spelled.items()}
-        self._tools = {
-            called[_spaced(text[start:end])] for start, end in _exact(Names(spelled), text)
-        }
+        self._tools = {called[_spaced(text[start:end])] for start, end in _exact(spelled, text)}
         taken = {at for start, end in spans for at in range(start, end)}
         #: the words of the text, those of names left empty: their digits are no value
         self._words = [
@@ -199,37 +223,76 @@ class StatedText:
     def _in(self, unit: str) -> frozenset[int]:
         """Return every quantity of the text that is a whole number of a unit."""
         if unit not in self._values:
-            found = list(self._quantities(unit))
-            ends, starts = {end for _, end, _ in found}, {start for start, _, _ in found}
-            # `1 h 30 min` states neither of its parts
-            self._values[unit] = frozenset(
-                value for start, end, value in found if start not in ends and end not in starts
-            )
+            self._values[unit] = frozenset(self._quantities(unit))
         return self._values[unit]
 
-    def _quantities(self, unit: str) -> Iterator[tuple[int, int, int]]:
-        """Yield each quantity of a unit as its first word, the word behind it and its value."""
-        after_number = False
+    def _quantities(self, unit: str) -> Iterator[int]:
+        """Yield the value of each quantity of a unit that its neighbors leave as it is."""
         for at, word in enumerate(self._words):
             opened = word.lstrip(_OPENING)
-            number = _NUMBER.fullmatch(opened)
-            bare = opened.rstrip(_CLOSING)
-            if after_number:
-                pass  # `10 500 ms` is no 500 ms
-            elif unit == "count" and _NUMBER.fullmatch(bare):
-                yield from self._read(at, 1, f"{bare} count", unit)
-            elif number and at + 1 < len(self._words):
-                spelled = self._words[at + 1].rstrip(_CLOSING)
-                yield from self._read(at, 2, f"{opened} {spelled}", unit)
-            elif bare[:1].isdigit() or bare[:1] == "-":
-                yield from self._read(at, 1, bare, unit)
-            after_number = number is not None
+            bare, size = opened.rstrip(_CLOSING), 1
+            said = bare
+            if unit == "count" and _NUMBER.fullmatch(bare):
+                said = f"{bare} count"
+            elif _NUMBER.fullmatch(opened) and at + 1 < len(self._words):
+                said, size = f"{opened} {self._words[at + 1].rstrip(_CLOSING)}", 2
+            elif not bare[:1].isdigit() and bare[:1] != "-":
+                continue
+            try:
+                value = self._quantity(said, unit)
+            except AuthGuardError:
+                continue
+            if not self._goes_on(at - 1, -1) and not self._goes_on(at + size, 1):
+                yield value
 
-    def _read(self, at: int, size: int, text: str, unit: str) -> Iterator[tuple[int, int, int]]:
-        try:
-            yield at, at + size, self._quantity(text, unit)
-        except AuthGuardError:
-            return
+    def _goes_on(self, at: int, step: int) -> bool:
+        """True when the words from one on may belong to the quantity beside them."""
+        joined = False
+        while 0 <= at < len(self._words) and _joins(self._words[at]):
+            joined = True
+            at += step
+        if not 0 <= at < len(self._words):
+            return False
+        beyond = self._words[at + step] if 0 <= at + step < len(self._words) else ""
+        # `5 N and 30 s`, `2 loads of 30 s`: before a joining word counts whatever has a number
+        return _changes(self._words[at], step) or (joined and step < 0 and _is_numeric(beyond))
+
+
+def _changes(word: str, step: int) -> bool:
+    """True when a word beside a quantity may make it another one.
+
+    Args:
+        word: it; empty for a word of a name.
+        step: -1 for the word before the quantity, 1 for the word behind it.
+    """
+    if not word:
+        return False
+    edge = word.rstrip(_CLOSING)[-1:] if step < 0 else word.lstrip(_OPENING)[:1]
+    return (
+        _is_numeric(word)
+        or not any(char.isalpha() for char in _SHOWN.findall(word))
+        or unicodedata.category(edge or "x") in _SIGNS
+        or fold(edge) in {"*", "/", "%", "^"}
+        or not _CHANGING.isdisjoint(_parts(word))
+    )
+
+
+def _is_numeric(word: str) -> bool:
+    """True for a word with a digit of any script, or with a number in English words."""
+    return any(char.isnumeric() for char in word) or any(
+        token.spoken for said in (word, *_parts(word)) for token in read_tokens(said)
+    )
+
+
+def _joins(word: str) -> bool:
+    parts = _PART.findall(fold(word))
+    return bool(parts) and _JOINING.issuperset(parts)
+
+
+def _parts(word: str) -> frozenset[str]:
+    """Return the parts of a word such as `and/or`, in lower case and without an `s` at the end."""
+    found = _PART.findall(fold(word).replace("'", "").replace("\u2019", ""))
+    return frozenset(found) | frozenset(part.removesuffix("s") for part in found if len(part) > 2)
 
 
 def _carried(way: ToolBinding, name: str) -> Iterator[object]:
@@ -240,18 +303,51 @@ def _carried(way: ToolBinding, name: str) -> Iterator[object]:
     yield from (a.default for a in way.arguments.values() if a.to == target)
 
 
-def _exact(names: Names, text: str) -> Iterator[tuple[int, int]]:
+def _exact(spelled: dict[str, str], text: str) -> Iterator[tuple[int, int]]:
     """Yield where a whole name stands in a text as the site spells it, in any case and spacing.
 
-    Of names within each other the longest counts; of names that share a word none does.
+    Of names within each other the longest counts; of names that share a word none does, nor does
+    one that is part of what looks like another name.
     """
-    found = [(m.start, m.end) for m in names.find(text) if m.how is How.EXACT]
-    for number, (start, end) in enumerate(found):
+    names, reach = Names(spelled), _NEAR * max(map(len, spelled), default=0)
+    seen = names.find(text)
+    found = [m for m in seen if m.how is How.EXACT]
+    alike = {m.ids for m in seen if m.how is not How.EXACT}
+    for number, mention in enumerate(found):
+        start, end = mention.start, mention.end
         near = (*found[max(0, number - 1) : number], *found[number + 1 : number + 2])
-        alone = all(other_end <= start or end <= other for other, other_end in near)
+        alone = all(other.end <= start or end <= other.start for other in near)
         free = _BEFORE.search(text, max(0, start - _MARKS), start) and _AFTER.match(text, end)
-        if alone and free:
-            yield start, end
+        if not alone or not free or (alike and _hidden(names, text, mention, reach)):
+            continue
+        yield start, end
+
+
+def _numbered(text: str, start: int, end: int) -> bool:
+    """True when a number follows a name (`Station 101 02`), or comes before its first digit."""
+    after = _SHOWN.search(text, end)
+    if after is not None and after.group().isnumeric():
+        return True
+    if not text[start].isnumeric():
+        return False
+    return next(filter(_SHOWN.match, reversed(text[:start])), "").isnumeric()
+
+
+def _hidden(names: Names, text: str, mention: Mention, reach: int) -> bool:
+    """True when a name is part of what looks like another name: the one in `5taff Corridor`.
+
+    Names may be found in other characters than those of the text, so that their places do not
+    compare: what is found only in the whole reaches over the name's ends.
+    """
+    start, end = mention.start, mention.end
+    left, name, right = (
+        text[max(0, start - reach) : start],
+        text[start:end],
+        text[end : end + reach],
+    )
+    whole = Counter(found.ids for found in names.find(left + name + right))
+    parts = Counter(found.ids for part in (left, name, right) for found in names.find(part))
+    return any(count > parts[ids] for ids, count in whole.items() if ids != mention.ids)
 
 
 def _spaced(text: str) -> str:

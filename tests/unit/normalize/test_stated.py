@@ -11,7 +11,7 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from authguard_r.cli.free_text import words_for_model
+from authguard_r.cli.free_text import model_prompt_schema
 from authguard_r.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId
@@ -143,9 +143,9 @@ def test_names_that_share_a_word_name_nothing() -> None:
     [
         ("at 0.5 m/s", "0.5"),
         ("at 0.5m/s.", "0.5"),
-        ("(500 mm/s)", "0.5"),
+        ("at (500 mm/s)", "0.5"),
         ("at 50 cm/s, please", "0.5"),
-        ("1.8 km/h", "0.5"),
+        ("with 1.8 km/h", "0.5"),
         ("slowly", "0.5"),  # what the binding carries when the planner gives no speed
     ],
 )
@@ -185,10 +185,187 @@ def test_a_value_without_its_number_and_unit_is_refused(text: str) -> None:
 
 
 def test_a_compound_quantity_states_neither_of_its_parts() -> None:
-    for seconds in (60, 30):
-        with pytest.raises(MalformedError, match="does not state"):
-            read("wait 1 min 30 s", ("wait", {"seconds": seconds}))
+    for text in ("1 min 30 s", "1 min and 30 s", "1 min, and a further 30 s", "1min & 30s"):
+        for seconds in (60, 30):
+            with pytest.raises(MalformedError, match="does not state"):
+                read(f"wait {text}", ("wait", {"seconds": seconds}))
     read("wait 30 s, not 1 min", ("wait", {"seconds": 60}))
+
+
+def waits(text: str) -> bool:
+    """True when a text states a wait of 30 s."""
+    try:
+        read(f"wait, scan {text}", ("wait", {"seconds": 30}))
+    except MalformedError as refused:
+        assert refused.where == "actions[0].params.duration_ms"  # noqa: PT017
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        *("10", "2,", "1.", "1:", "2e3", "x10", "\u0663", "\u00bd", "\u2161", "10\u200b", "Room 7"),
+        *(
+            "-",
+            "+",
+            "*",
+            "/",
+            "x",
+            ":",
+            ".",
+            ",",
+            "%",
+            "~",
+            "<",
+            ">",
+            "=",
+            "\u2212",
+            "\u2013",
+            "\u00d7",
+        ),
+        *(
+            "\u2264",
+            "\u0445",
+            "\u2063",
+            "\u3164",
+            "t=",
+            "5 x",
+            "10 -",
+            "1 /",
+            "minus",
+            "times",
+            "5 times",
+        ),
+        *("two hundred", "Two", "twenty-five", "thousands", "a million", "half", "half a", "twice"),
+        *(
+            "1 h and",
+            "1 h, and",
+            "1 h plus",
+            "1 h &",
+            "1 h -and",
+            "1 h as well as",
+            "10 through",
+            "1 h and/or",
+            "an hour and",
+            "an hour",
+            "two hours and a",
+        ),
+        *("5 N and", "10 to", "10 or", "2 lots of", "third of"),
+    ],
+)
+def test_a_quantity_beside_a_number_or_a_sign_before_it_states_nothing(before: str) -> None:
+    assert waits("then 30 s") == waits("then 30s") == (before != "")
+    assert not waits(f"{before} 30 s") or before == "times"
+    assert not waits(f"{before} 30s") or before == "times"
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        *(
+            "500 ms",
+            "500ms",
+            ", 5",
+            ".5",
+            "5",
+            "\u0663",
+            "two",
+            "hundred",
+            "half",
+            "x 5",
+            "times 5",
+        ),
+        *("and 2 min", "and two minutes", "and a half", "and a minute", "plus 2 min", "& 2 min"),
+        *(
+            "- 10 s",
+            "-10",
+            "\u2013 40 s",
+            "+ x",
+            "* 2",
+            "/ 2",
+            "% ",
+            "^2",
+            "per m",
+            "squared",
+            "to 40 s",
+        ),
+        *("or 40 s", "m", "minus", "~", "=", "\u00d7"),
+    ],
+)
+def test_a_quantity_beside_a_number_or_a_sign_behind_it_states_nothing(after: str) -> None:
+    assert not waits(f"then 30 s {after}")
+    assert not waits(f"then 30s {after}")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "for 30 s. Then drive to Station 101",
+        "and 30 s later drive on",
+        "(30 s)",
+        "at Station 101 and 30 s later scan",
+        "with 5 N, wait 30 s, and scan",
+        "a whole 30 s, to the end",
+    ],
+)
+def test_ordinary_words_beside_a_quantity_change_nothing(text: str) -> None:
+    assert waits(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "go through the 5taff Corridor",
+        "go through the St\u0430ff Corridor",
+        "go through the St@ff Corridor",
+        "go through the Staff-Corridor",
+        "go through the \ufb06aff, turn, 5taff  \n Corridor",
+        "go through the S t a f f Corridor",
+    ],
+)
+def test_a_name_within_what_looks_like_another_one_names_nothing(text: str) -> None:
+    with pytest.raises(MalformedError, match="does not name `public-corridor`"):
+        drive(text, "Corridor")
+    drive(f"{text}, out of it and by the Corridor", "Corridor")
+
+
+def test_a_name_before_what_looks_like_the_rest_of_another_one_names_nothing() -> None:
+    site = renamed(station_101=("Bay",), station_102=("Bay East",))
+    go = ("navigate_to", {"destination": "Bay"})
+    read("go to Bay Eastern", go, site=site)
+    with pytest.raises(MalformedError, match="does not name `station-101`"):
+        read("go to Bay Ea5t", go, site=site)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "Station 101 02",
+            "Station 101 .5",
+            "Station 101 ,5",
+            "Station 101, 02",
+            "Station 101 - 2",
+        ),
+        *("Station 101 (02)", "Station 101 \u0662", "Station 101 \u00bd", "Station 101 \u3164 2"),
+        "Station 101\n2",
+    ],
+)
+def test_a_name_before_a_number_names_nothing(text: str) -> None:
+    with pytest.raises(MalformedError, match="does not name `station-101`"):
+        drive(f"go to {text}")
+    drive(f"go to {text} or to Station 101 itself")
+
+
+def test_a_number_before_a_name_that_begins_with_one_names_nothing() -> None:
+    site = renamed(station_101=("3 West",))
+    go = ("navigate_to", {"destination": "3 West"})
+    read("go to ward 3 West", go, site=site)
+    for text in ("1 3 West", "1, 3 West", "\u0661. 3 West", "1 - 3 West"):
+        with pytest.raises(MalformedError, match="does not name `station-101`"):
+            read(f"go to {text}", go, site=site)
+    drive("go to gate 2 Station 101")
 
 
 def test_the_digits_of_a_name_are_no_value() -> None:
@@ -225,7 +402,7 @@ def test_a_count_is_a_number_of_its_own() -> None:
 def test_a_model_is_shown_the_mapped_arguments_of_a_binding_and_nothing_else(name: str) -> None:
     site = probe_site(convert(binding_source(name), Binding, where=name), standard_words())
     binding = load_binding(binding_source(name), site=site, where=name)
-    shown = words_for_model(binding, site)["tools"]
+    shown = model_prompt_schema(binding, site)["tools"]
     for way in ways(binding):
         if site.vocabulary[way.tool.type].state_writing:
             continue
@@ -256,11 +433,16 @@ def test_every_action_of_a_plan_is_checked() -> None:
     assert refused.value.where == "actions[1].route[1]"
 
 
-NAMES = ("Room 10", "Room 101", "Room", "Room 1", "Bay", "bay", "Bay A", "A", "P 1", "P", "Bay-A")
+NAMES = (
+    *("Room 10", "Room 101", "Room", "Room 1", "Bay", "bay", "Bay A", "A", "P 1", "P", "Bay-A"),
+    *("7 A", "A Bay"),
+)
 MARKS = (*[""] * 20, ",", ".", "-", "'s", "(", ")", "_", "\u200b")
 SPACES = (*[" "] * 9, "  ", "\n", "", "-")
 IDS = ("station-101", "station-102", "dock")
-PIECES = st.sampled_from((*NAMES, *IDS, *["package-p1"] * 3, "not", "10", "101", "1", "room"))
+PIECES = st.sampled_from(
+    (*NAMES, *IDS, *["package-p1"] * 3, "not", "10", "101", "1", "room", "8ay", ".5")
+)
 
 
 def spell(parts: list[tuple[str, str, str, str]]) -> str:
@@ -275,13 +457,42 @@ TEXTS = st.lists(
 SPELLINGS = st.lists(st.sampled_from(NAMES), max_size=3, unique=True).map(tuple)
 
 
-def stands(text: str, name: str) -> bool:
-    """True when some words of a text, without the marks around them, are the name."""
-    words, size = text.casefold().split(), len(name.split())
-    windows = (" ".join(words[at : at + size]) for at in range(len(words)))
+def first_shown(text: str) -> str:
+    return next(filter(str.isalnum, text), "")
+
+
+def windows(words: list[str], name: str) -> set[tuple[int, int]]:
+    """Return where some words of a text, without the marks around them, are a name."""
+    size = len(name.split())
+    return {
+        (at, at + size)
+        for at in range(len(words))
+        if " ".join(words[at : at + size]).lstrip("(\"'[").rstrip(")\"'].,;:!?")
+        == " ".join(name.casefold().split())
+    }
+
+
+def stands(text: str, name: str, others: set[str]) -> bool:
+    """True when a name stands in a text without a number beside it, nor as a part of another.
+
+    Args:
+        text: it, with `8ay` for `Bay` here and there.
+        name: the name.
+        others: the names of everything else.
+    """
+    words = text.casefold().split()
+    read = [word.replace("8ay", "bay") for word in words]
+    looks = {
+        (start, end)
+        for other in others
+        for start, end in windows(read, other)
+        if read[start:end] != words[start:end]
+    }
     return any(
-        window.lstrip("(\"'[").rstrip(")\"'].,;:!?") == " ".join(name.casefold().split())
-        for window in windows
+        not first_shown(" ".join(words[end:])).isdigit()
+        and not (name[0].isdigit() and first_shown("".join(words[:start])[::-1]).isdigit())
+        and all(last <= start or end <= first for first, last in looks)
+        for start, end in windows(words, name)
     )
 
 
@@ -305,6 +516,9 @@ def test_accepted_places_and_objects_are_exact_names_of_the_text(
         same = name.casefold()
         return {item for item, has in spelled.items() if same in {n.casefold() for n in has}}
 
+    def others(item: str) -> set[str]:
+        return {name for other, has in spelled.items() if other != item for name in has}
+
     for call in (
         ("navigate_to", {"destination": place, "via": via}),
         ("put_down", {"object": "package-p1", "at": place}),
@@ -318,10 +532,72 @@ def test_accepted_places_and_objects_are_exact_names_of_the_text(
         action = step.action
         for item in (action.object, action.destination, *action.route):
             assert item is None or any(
-                stands(text, name) and owners(name) == {item} for name in spelled[item]
+                stands(text, name, others(item)) and owners(name) == {item}
+                for name in spelled[item]
             )
 
 
 @given(name=st.sampled_from(("Station 101", "Pharmacy Desk A", "dock", "Director's Office")))
 def test_a_text_that_is_a_name_is_accepted(name: str) -> None:
     assert drive(name, name).steps
+
+
+HALF_A_MINUTE = ("30 s", "30s", "(30 s)", "30 s,")
+ORDINARY = ("then", "wait", "with", "scan.", "for", "slowly", "Dock")
+JOINING = ("and", "plus", "to", "or", "of", "a")
+FOREIGN = (
+    *(
+        "10",
+        "2,",
+        "1.",
+        "1:",
+        "2e3",
+        "x7",
+        "\u0663",
+        "\u00bd",
+        "500 ms",
+        "1 h",
+        "5 N",
+        "two",
+        "hundred",
+    ),
+    *(
+        "hour",
+        "half",
+        "-",
+        "+",
+        "*",
+        "x",
+        "/",
+        ":",
+        "~",
+        "<",
+        "=",
+        "%",
+        "&",
+        "\u2212",
+        "\u00d7",
+        "\u2063",
+    ),
+)
+
+
+@given(
+    st.lists(
+        st.one_of(*map(st.sampled_from, (HALF_A_MINUTE, ORDINARY, JOINING, FOREIGN))), max_size=7
+    )
+)
+def test_a_quantity_counts_only_among_ordinary_words(pieces: list[str]) -> None:
+    """A word that joins is passed over: what it joins decides."""
+
+    def ends_well(beside: list[str]) -> bool:
+        return next((piece in ORDINARY for piece in beside if piece not in JOINING), True)
+
+    places = [at for at, piece in enumerate(pieces) if piece in HALF_A_MINUTE]
+    counts = [at for at in places if ends_well(pieces[:at][::-1]) and ends_well(pieces[at + 1 :])]
+    joined = [at for at in counts if {*pieces[max(0, at - 1) : at]} & {*JOINING}]
+    if waits(" ".join(pieces)):
+        event("accepted")
+        assert counts
+    else:  # one that a word joins to what is before may be refused in doubt
+        assert counts == joined
