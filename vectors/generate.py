@@ -20,9 +20,13 @@ from making import (
     certificate,
     encoding,
     gate,
+    lifecycle,
     normalizing,
+    repair,
+    retention,
     revocation,
     risk,
+    stated,
     template,
     tokens,
 )
@@ -39,9 +43,13 @@ def main(folder: Path) -> None:
     write(folder / "encoding.json", encoding.encoding_vectors())
     write(folder / "frames.json", frame_streams.every())
     write(folder / "gate.json", gate.gate_vectors())
+    write(folder / "lifecycle.json", lifecycle.lifecycle_vectors())
     write(folder / "normalize.json", normalizing.normalize_vectors())
+    write(folder / "repair.json", repair.repair_vectors())
+    write(folder / "retention.json", retention.retention_vectors())
     write(folder / "revocation.json", revocation.revocation_vectors())
     write(folder / "risk.json", risk.risk_vectors())
+    write(folder / "stated.json", stated.stated_vectors())
     write(folder / "template.json", template.template_vectors())
     write(folder / "token.json", tokens.token_vectors())
 
