@@ -148,11 +148,11 @@ def test_an_honest_reading_is_accepted_and_every_label_is_model(console: Console
     """Also where the signed rows leave one value and a planner's own plan has `operator`."""
     ordinary = ("normalize", *SITE, "--token", "m.token")
     code, direct, _ = console(*ordinary, stdin=plan(*HONEST).encode())
-    assert (code, direct["actions"][0]["provenance"]) == (0, {"object": "operator"})
+    assert (code, direct["actions"][0]["provenance"]["object"]) == (0, "operator")
     assert "parsed_by" not in direct
     code, made = console.read(ModelServer(plan(*HONEST)), "--token", "m.token")
     assert code == 0
-    assert [set(a["provenance"].values()) for a in made["actions"]] == [{"model"}, {"model"}, set()]
+    assert [set(a["provenance"].values()) for a in made["actions"]] == [{"model"}] * 3
     assert made["actions"][0]["meta"]["mission"] == direct["actions"][0]["meta"]["mission"]
     assert made["parsed_by"] == "openai:m"
     assert made["evidence"] == digest(Tag.RAW, plan(*HONEST).encode()) == direct["evidence"]
@@ -174,7 +174,7 @@ def test_a_less_trusted_context_lowers_the_labels_further(console: Console) -> N
     code, made = console.read(
         ModelServer(plan(*HONEST)), "--token", "m.token", "--context", "h/context-notice.jsonl"
     )
-    assert (code, made["actions"][0]["provenance"]) == (0, {"object": "camera"})
+    assert (code, set(made["actions"][0]["provenance"].values())) == (0, {"camera"})
 
 
 def test_the_model_sees_tools_and_names_and_no_mission_and_no_policy(console: Console) -> None:

@@ -254,7 +254,7 @@ def values() -> dict[str, Case]:
     stated = {
         "in meters per second": "Station 101 at 0.6 m/s",
         "without a space": "Station 101 at 0.6m/s.",
-        "in millimeters per second": "Station 101 (600 mm/s)",
+        "in millimeters per second": "Station 101, slowly (600 mm/s)",
         "in centimeters per second": "Station 101 at 60 cm/s, please",
     }
     unstated = {
