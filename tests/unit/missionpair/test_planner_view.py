@@ -578,11 +578,10 @@ def test_no_planner_sees_mission_schema_or_reason_code(name: str) -> None:
 
 
 @pytest.mark.complete
-@pytest.mark.parametrize("part", range(8))
-def test_no_planner_sees_mission_schema_or_reason_code_in_any_pair_of_full(part: int) -> None:
+def test_no_planner_sees_mission_schema_or_reason_code_in_every_sixteenth_pair_of_full() -> None:
     suite, _ = loaded("full")
     with Seeing() as yard:
-        for pair in suite.pairs[part::8]:
+        for pair in suite.pairs[::16]:
             assert (pair.id, seen_of(yard, suite, pair)[0]) == (pair.id, [])
 
 
