@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter_ns, time
+from time import monotonic, perf_counter_ns, time
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -214,7 +214,7 @@ class _Asking:
             raise RuntimeError("no checkpoint was made")
         body = request(self._old, self._kept.proof(self._old, size), note)
         start = perf_counter_ns()
-        answer = exchange(self._url, body, [])
+        answer = exchange(self._url, body, monotonic() + 5.0)
         held = cosignature(answer, note, self._key)
         spent = perf_counter_ns() - start
         if held is None:

@@ -30,8 +30,8 @@ def label_fields(
         standing: for signed selections.
         base: the least trusted label of anything the planner could have seen.
     """
-    labels: dict[str, Label] = {}
-    for field in LABELED:
+    labels: dict[str, Label] = {"type": base, "tool": base}
+    for field in LABELED[2:]:
         if not getattr(action, field):
             continue
         labels[field] = base

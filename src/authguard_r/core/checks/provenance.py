@@ -39,15 +39,19 @@ def check_provenance(case: Case, indexed: IndexedGrant) -> Findings:
     """(6) Each field has a label that AllowedSrc of its field names."""
     grant = indexed.grant
     if case.verified.sources or case.facts.sources:
-        labels = _all_labels(case, indexed)
-    elif len(grant.alternatives) == 1 or grant.chooser is Chooser.PLANNER:
+        return tuple(
+            _denied(field, label, case, grant)
+            for field, label in _all_labels(case, indexed)
+            if label not in allowed_sources(field, case, grant)
+        )
+    # without a signed set only a choice among several rows can be denied
+    if len(grant.alternatives) == 1 or grant.chooser is Chooser.PLANNER:
         return ()
-    else:
-        labels = _chosen_labels(case, grant)
+    left = open_rows(grant, case.standing, case.action.source)
     return tuple(
-        _denied(field, label, case, grant)
-        for field, label in labels
-        if label not in allowed_sources(field, case, grant)
+        _denied(SourceField(field), _action_label(case, field), case, grant)
+        for field in CHOSEN
+        if len({getattr(row, field) for row in left}) > 1
     )
 
 
