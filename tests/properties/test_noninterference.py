@@ -42,6 +42,7 @@ from authguard_r.core.encoding import Tag, digest_of, encode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
+from authguard_r.core.provenance import Chooser
 from authguard_r.core.token import sign_object
 from authguard_r.keys.setup import init_folder
 from authguard_r.normalize import Dialect, normalize
@@ -119,7 +120,7 @@ def foreign() -> Path:
 
 def widened() -> Mission:
     """Return what the adversary wants: version 2, in which the planner chooses."""
-    chosen = [msgspec.structs.replace(grant, chooser="planner") for grant in SIGNED.actions]
+    chosen = [msgspec.structs.replace(grant, chooser=Chooser.PLANNER) for grant in SIGNED.actions]
     return msgspec.structs.replace(
         SIGNED, version=2, supersedes=DIGEST, nonce="B" * 22, actions=tuple(chosen)
     )
