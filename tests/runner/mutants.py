@@ -32,6 +32,8 @@ FILE = ROOT / "tests" / "mutants.toml"
 #: Copied for each worker: what tests read.
 COPIED = ("src", "tests", "examples", "vectors", "docs", "benchmarks", "deploy", "ros2", ".ci")
 WORKERS = 2
+#: Tests of these groups drive processes in real time: two side by side can fail without a mutant.
+ALONE = frozenset({"processes", "ros", "soak"})
 LIMIT_S = 120.0
 #: Exit codes of pytest.
 PASSED, FAILED = 0, 1
@@ -156,9 +158,10 @@ def judge(chosen: list[Mutant], *, root: Path = ROOT, limit_s: float = LIMIT_S) 
         return "passed: no mutants"
     unbroken = sorted({test for mutant in chosen for test in mutant.tests})
     jobs = [(mutant, test) for mutant in chosen for test in mutant.tests]
+    workers = 1 if ALONE & {mutant.group for mutant in chosen} else WORKERS
     with TemporaryDirectory(prefix="mutants-") as folder:
         copies: SimpleQueue[Path] = SimpleQueue()
-        for number in range(WORKERS):
+        for number in range(workers):
             copies.put(_copy(root, Path(folder) / str(number)))
 
         def unbroken_pass(tests: list[str]) -> tuple[int | None, str]:
@@ -168,7 +171,7 @@ def judge(chosen: list[Mutant], *, root: Path = ROOT, limit_s: float = LIMIT_S) 
             finally:
                 copies.put(copy)
 
-        with ThreadPoolExecutor(WORKERS) as pool:
+        with ThreadPoolExecutor(workers) as pool:
             halves = [half for half in (unbroken[::2], unbroken[1::2]) if half]
             for code, said in pool.map(unbroken_pass, halves):
                 if code != PASSED:
@@ -181,7 +184,7 @@ def judge(chosen: list[Mutant], *, root: Path = ROOT, limit_s: float = LIMIT_S) 
             finally:
                 copies.put(copy)
 
-        with ThreadPoolExecutor(WORKERS) as pool:
+        with ThreadPoolExecutor(workers) as pool:
             verdicts = []
             for verdict in pool.map(one, jobs):
                 name, seconds = verdict.mutant.name, verdict.seconds
