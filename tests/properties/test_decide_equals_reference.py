@@ -8,14 +8,18 @@ agreement on refusing, so the shares are asserted: what is accepted, and every r
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from random import Random
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from authguard_r.core.approval import Approval, VerifiedApproval
+from authguard_r.core.approval import Verdict as Answer
 from authguard_r.core.decision import Verdict
 from authguard_r.core.reasons import DECIDED
+from authguard_r.core.standing import ApprovalRequest
 from fixtures.amount import amount
 from fixtures.decision_bounds import BOUNDS
 from fixtures.decision_cases import (
@@ -27,6 +31,7 @@ from fixtures.decision_cases import (
     oracle_case,
     organized,
     preapproved,
+    set_,
     sourced,
 )
 
@@ -61,6 +66,44 @@ def agree(case: Case) -> tuple[str, list[str]]:
     assert grant.alternatives.index(ours.match.row) == theirs["row"]
     assert (ours.need.required, ours.need.risk) == (theirs["required"], theirs["risk"])
     return str(ours.verdict), reasons
+
+
+def denied(case: Case) -> Case:
+    """Return the case with a request for its action, which the one who approved in advance denies.
+
+    The case is one that its first fitting pre-approval lets pass.
+    """
+    decided = decide_case(case)
+    used = next(item for item in case.preapprovals if item.digest == decided.preapproved)
+    need, said, standing = decided.need, used.preapproval, case.standing
+    assert need is not None
+    assert need.scope
+    assert need.situation
+    assert standing is not None
+    request = ApprovalRequest(
+        counter=1,
+        scope=need.scope,
+        situation=need.situation,
+        required=need.required,
+        expires_ms=case.now.utc_ms,
+    )
+    answer = Approval(
+        mid=said.mid,
+        version=said.version,
+        mission=said.mission,
+        rid=said.rid,
+        grant=said.grant,
+        scope=need.scope,
+        situation=need.situation,
+        counter=request.counter,
+        expires_ms=case.now.utc_ms,
+        verdict=Answer.DENY,
+    )
+    return replace(
+        case,
+        standing=set_(standing, requests={said.grant: request}),
+        approvals=(VerifiedApproval(approval=answer, approver=used.approver),),
+    )
 
 
 def test_the_case_counts_add_up_to_what_is_claimed() -> None:
@@ -183,6 +226,8 @@ def test_gate_and_oracle_agree_on_what_was_approved_in_advance() -> None:
         used = decide_case(case).preapproved
         assert used == oracle_case(case)["preapproved"]
         assert (used is not None) == (verdict == Verdict.ACCEPT)
+        if used is not None:
+            assert agree(denied(case)) == (Verdict.REJECT, ["APPROVAL_DENIED"])
 
     holds()
     assert counted["accept"] >= PREAPPROVED // 20, counted

@@ -12,7 +12,7 @@ from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.quantities import Now
 from fixtures import decision_cases, scenarios
 from fixtures.decision_cases import ALONE, Case, plain
-from making.sources import PREAPPROVALS, SOURCES, deviations
+from making.sources import PREAPPROVALS, SOURCES, answered, deviations
 
 Json = dict[str, Any]
 
@@ -145,6 +145,12 @@ def gate_vectors() -> Json:
         for name, (build, accepted) in cases.items():
             kind = "near miss" if accepted else "alone"
             vectors.append({**gate_vector(reason, kind, build, confined=True), "note": name})
+    vectors.append(
+        {
+            **gate_vector("APPROVAL_DENIED", "alone", answered, confined=True),
+            "note": "a denial outweighs what the same person approved in advance",
+        }
+    )
     facts = decision_cases.plain_facts(decision_cases.FACTS)
     return {"facts": facts, "vectors": vectors, "deviations": deviations()}
 

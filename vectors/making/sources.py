@@ -8,7 +8,7 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-from authguard_r.core.approval import PreApproval, VerifiedPreApproval
+from authguard_r.core.approval import PreApproval, Verdict, VerifiedPreApproval
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.mission import SCHEMA, Limit
 from authguard_r.core.provenance import Chooser, Label, SourceField, allowed_of
@@ -162,6 +162,21 @@ def preapproved(left: int = 2, **changes: Any) -> Build:
         return replace(case, standing=standing, approvals=(), preapprovals=(given,))
 
     return build
+
+
+def answered(rnd: Random) -> Case:
+    """Return a case whose approver approved in advance, was asked all the same, and denies."""
+    case = preapproved(denied=True)(rnd)
+    need, grant = decision_cases.decide_case(case).need, case.grant.id
+    assert need is not None
+    assert case.standing is not None
+    request = decision_cases.set_(
+        case.standing.requests[grant], scope=need.scope, situation=need.situation, denied=False
+    )
+    approver = case.preapprovals[0].approver
+    denial = decision_cases._answer(case, request, approver.id, verdict=Verdict.DENY)
+    standing = decision_cases.set_(case.standing, requests={grant: request})
+    return replace(case, standing=standing, approvals=(denial,))
 
 
 PREAPPROVALS: dict[str, tuple[Build, bool]] = {
