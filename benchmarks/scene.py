@@ -37,7 +37,7 @@ from authguard_r.keys.trust import read_trust  # noqa: E402
 from authguard_r.normalize import Binder, Step, normalize  # noqa: E402
 from authguard_r.normalize.context import ContextLedger  # noqa: E402
 from authguard_r.normalize.labels import label_fields  # noqa: E402
-from authguard_r.safety import EnvelopeGate, default_config  # noqa: E402
+from authguard_r.safety import EnvelopeGate, default_config, safety_digest  # noqa: E402
 from authguard_r.sim.robot import snapshot_of  # noqa: E402
 from fixtures import gate_process, scenarios  # noqa: E402, F401 - the tests' fixtures
 
@@ -230,18 +230,19 @@ class Bench(msgspec.Struct, frozen=True):
 
 def bench(store: Store, *, trust: Any = None) -> Bench:
     """Return a gate over the store, its machine and a binder; no mission is active yet."""
-    machine = Machine()
+    machine, safety = Machine(), default_config(scenarios.site(), scenarios.RID)
     signer = folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID))
     gate = assemble(
         trust=trust or read_trust(scenarios.trust_folder()),
         chain=signer.chain,
         site=scenarios.site(),
-        safety=EnvelopeGate(default_config(scenarios.site(), scenarios.RID)),
+        safety=EnvelopeGate(safety),
         controller=machine,
         source=machine,
         clock=machine,
         store=store,
-        genesis={},
+        genesis={"safety": safety_digest(safety)},
+        sealed={"safety": safety},  # a replay makes the second gate's verdict again
         demo=True,
     )
     binder = Binder(scenarios.site(), scenarios.binding())
