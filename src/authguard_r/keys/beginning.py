@@ -13,8 +13,9 @@ from contextlib import suppress
 from cryptography import x509
 
 from authguard_r.core.encoding import unb64
-from authguard_r.core.errors import MalformedError
+from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.token import read_token
+from authguard_r.keys.loading import load
 from authguard_r.keys.trust import Trust
 
 
@@ -27,8 +28,8 @@ def chain_ms(chain: Iterable[bytes]) -> int:
     """Return when the last certificate of a chain begins; what is none says nothing."""
     found = 0
     for der in chain:
-        with suppress(ValueError):
-            found = max(found, _begins(x509.load_der_x509_certificate(der)))
+        with suppress(AuthenticityError):
+            found = max(found, _begins(load(der, where="certificate")))
     return found
 
 

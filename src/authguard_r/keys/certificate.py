@@ -16,8 +16,7 @@ from enum import StrEnum
 from typing import Any, TypeVar
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.utils import CryptographyDeprecationWarning
+from cryptography.exceptions import InvalidSignature
 from cryptography.x509.oid import NameOID, ObjectIdentifier
 from msgspec import Struct
 
@@ -30,8 +29,8 @@ from authguard_r.keys.algorithms import (
     PrivateKey,
     PublicKey,
     require_one_algorithm,
-    require_sound,
 )
+from authguard_r.keys.loading import key_of, load
 
 N = TypeVar("N", PrincipalId, RobotId, RegionId)
 
@@ -198,22 +197,6 @@ def build_leaf(
     return builder.add_extension(uris, critical=False).sign(key, None)
 
 
-def load(der: bytes, *, where: str) -> x509.Certificate:
-    """Return the certificate in the bytes.
-
-    Raises:
-        AuthenticityError: they are none.
-    """
-    try:
-        certificate = x509.load_der_x509_certificate(der)
-        positive = certificate.serial_number > 0
-    except (ValueError, x509.InvalidVersion, CryptographyDeprecationWarning) as error:
-        raise _bad("expected a DER certificate", where) from error
-    if not positive:
-        raise _bad("expected a positive serial number", where)
-    return certificate
-
-
 def walk(
     leaf_der: bytes, authority_der: bytes, *, roots: tuple[x509.Certificate, ...], now: Now
 ) -> Leaf:
@@ -235,7 +218,7 @@ def walk(
     _require_issued(leaf, authority, where="certificate.leaf")
     extensions = _require_profile(leaf, ca=False, path_length=None, where="certificate.leaf")
     _require_dates(leaf, moment, where="certificate.leaf")
-    key = require_sound(_public_key(leaf, where="certificate.leaf"), where="certificate.leaf")
+    key = key_of(leaf, where="certificate.leaf")
     if len(roots) > 1:
         require_one_algorithm(key, authority.public_key(), root.public_key())
     roles = _roles(extensions, where="certificate.leaf")
@@ -300,7 +283,7 @@ def require_authority(
     extensions = _require_profile(authority, ca=True, path_length=0, where=where)
     _require_dates(root, moment, where="certificate.root")
     _require_dates(authority, moment, where=where)
-    require_sound(_public_key(authority, where=where), where=where)
+    key_of(authority, where=where)
     return _roles(extensions, where=where)
 
 
@@ -330,15 +313,6 @@ def _require_profile(
     if (signs, certifies) != (not ca, ca):
         raise _bad("expected the key usage of its place in the chain", where)
     return extensions
-
-
-def _public_key(cert: x509.Certificate, *, where: str) -> object:
-    try:
-        return cert.public_key()
-    except (ValueError, UnsupportedAlgorithm) as error:  # pragma: no cover - needs such an issuer
-        raise AuthenticityError(
-            "expected a key of a known algorithm", reason=Reason.KEY_INVALID, where=where
-        ) from error
 
 
 def _require_dates(cert: x509.Certificate, moment: datetime, *, where: str) -> None:

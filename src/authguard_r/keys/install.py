@@ -18,8 +18,9 @@ from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import require_sound
-from authguard_r.keys.certificate import Leaf, load, require_authority
+from authguard_r.keys.certificate import Leaf, require_authority
 from authguard_r.keys.files import write_whole
+from authguard_r.keys.loading import load
 from authguard_r.keys.request import Answer, fingerprint
 from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.setup import AUTHORITIES, SUFFIXES

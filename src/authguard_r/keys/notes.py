@@ -34,6 +34,7 @@ from authguard_r.keys.algorithms import (
     require_signature,
     require_sound,
 )
+from authguard_r.keys.loading import key_of, load
 from authguard_r.keys.signer import SigningKey
 from authguard_r.keys.trust import Trust, pairs
 
@@ -123,7 +124,7 @@ def leaf_key(chain: tuple[bytes, ...]) -> PublicKey:
     Raises:
         AuthenticityError: an algorithm that is none of ours, or an unsound key.
     """
-    return require_sound(x509.load_der_x509_certificate(chain[0]).public_key(), where=_WHERE)
+    return key_of(load(chain[0], where=_WHERE), where=_WHERE)
 
 
 def sign_text(text: str, name: str, signer: Signer) -> tuple[NoteSignature, ...]:

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from msgspec import Struct
 
-from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.identifiers import is_identifier
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
@@ -33,6 +33,7 @@ from authguard_r.keys.algorithms import (
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root
 from authguard_r.keys.envelope import is_sealed
 from authguard_r.keys.files import write_keys, write_whole
+from authguard_r.keys.loading import load_pem
 from authguard_r.keys.revocation import Revocation, sign_list
 from authguard_r.keys.signer import Passphrase, open_key_file
 
@@ -225,8 +226,8 @@ def read_authority(folder: Path, name: str, passphrase: Passphrase | None = None
     key = read_key(folder, name, passphrase)
     try:
         pem = (folder / "authorities" / f"{name}.pem").read_bytes()
-        return Issued(key, x509.load_pem_x509_certificate(pem))
-    except (OSError, ValueError) as error:
+        return Issued(key, load_pem(pem, where=name)[0])
+    except (OSError, AuthenticityError) as error:
         raise _without(folder, name) from error
 
 

@@ -20,8 +20,9 @@ from authguard_r.core.ports import Endorsed
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Principal
-from authguard_r.keys.algorithms import require_signature, require_sound
-from authguard_r.keys.certificate import Leaf, Role, load, read_claims, walk
+from authguard_r.keys.algorithms import require_signature
+from authguard_r.keys.certificate import Leaf, Role, read_claims, walk
+from authguard_r.keys.loading import key_of, load, load_pem
 from authguard_r.keys.revocation import RevocationList, claimed_authority, read_list
 
 #: Names of the roots' own revocation lists, in the order of the roots.
@@ -53,7 +54,7 @@ class Trust:
         self, roots: tuple[x509.Certificate, ...], lists: dict[bytes, RevocationList]
     ) -> None:
         for root in roots:
-            require_sound(root.public_key(), where="root")
+            key_of(root, where="root")
         self.roots = roots
         self._lists = lists
         self._root_ders = tuple(root.public_bytes(Encoding.DER) for root in roots)
@@ -84,7 +85,7 @@ class Trust:
                 f"expected the list of an authority that is trusted here, got `{name}`'s",
                 where="revocations",
             )
-        key = require_sound(x509.load_der_x509_certificate(der).public_key(), where=name)
+        key = key_of(load(der, where=name), where=name)
         found, held = read_list(data, authority=name, key=key), self._lists[der].number
         if found.number <= held or found.next_update_ms < now.utc_ms:
             raise AuthenticityError(
@@ -190,7 +191,7 @@ class Trust:
             AuthenticityError: it names nobody.
         """
         where = "certificate.leaf"
-        key = require_sound(load(chain[0], where=where).public_key(), where=where)
+        key = key_of(load(chain[0], where=where), where=where)
         return read_claims(chain[0]).principal, key.public_bytes_raw()
 
     def gate_identity(self, chain: tuple[bytes, ...], now: Now) -> tuple[RobotId, Digest]:
@@ -285,7 +286,7 @@ def read_trust(folder: Path) -> Trust:
 
 
 def _list(folder: Path, name: str, authority: x509.Certificate) -> RevocationList:
-    key = require_sound(authority.public_key(), where=f"{name}.pem")
+    key = key_of(authority, where=f"{name}.pem")
     path = folder / "revocations" / f"{name}.json"
     return read_list(read_file(path), authority=name, key=key)
 
@@ -313,10 +314,7 @@ def read_certificates(path: Path, *, most: int = 2) -> tuple[x509.Certificate, .
         EnvironmentFault: it cannot be read.
         AuthenticityError: it holds something else.
     """
-    try:
-        found = tuple(x509.load_pem_x509_certificates(read_file(path)))
-    except ValueError as error:
-        raise _invalid("expected a PEM certificate", path) from error
+    found = load_pem(read_file(path), where=path.name)
     if len(found) > most:
         raise _invalid(f"expected at most {most} certificates, got {len(found)}", path)
     return found

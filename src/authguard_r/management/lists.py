@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from hashlib import sha256
 
-from cryptography import x509
 from msgspec import Struct
 
 from authguard_r.audit.record import Entry
@@ -21,7 +20,7 @@ from authguard_r.core.errors import AuthenticityError, MalformedError, StoreErro
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.intake import Intake
-from authguard_r.keys.algorithms import require_sound
+from authguard_r.keys.loading import key_of, load
 from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.trust import Trust
 from authguard_r.ledger import Act, Ledger
@@ -154,7 +153,7 @@ class Lists:
         if data is None:
             return None
         try:
-            key = require_sound(x509.load_der_x509_certificate(der).public_key(), where=name)
+            key = key_of(load(der, where=name), where=name)
             return read_list(data, authority=name, key=key)
         except (AuthenticityError, MalformedError) as error:
             raise StoreError(

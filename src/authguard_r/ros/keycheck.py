@@ -24,6 +24,7 @@ from msgspec import Struct
 
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.loading import load_pem
 from authguard_r.ros.documents import Opened, governance_faults, read_permissions
 from authguard_r.ros.keystore import (
     CERTIFICATE,
@@ -319,10 +320,12 @@ def _shared(enclaves: list[_Enclave]) -> Iterator[Fault]:
 
 
 def _certificate(path: Path) -> x509.Certificate:
+    found = load_pem(_read(path), where=str(path))[0]
     try:
-        return x509.load_pem_x509_certificate(_read(path))
-    except ValueError as error:
-        raise MalformedError("expected a certificate", where=str(path)) from error
+        _public(found)
+    except (ValueError, UnsupportedAlgorithm) as error:
+        raise MalformedError("expected a key of a known algorithm", where=str(path)) from error
+    return found
 
 
 def _public(certificate: x509.Certificate) -> bytes:

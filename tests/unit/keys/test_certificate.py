@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 
 import msgspec
@@ -21,6 +21,7 @@ from authguard_r.core.identifiers import PrincipalId, RegionId, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Scope
+from authguard_r.keys.beginning import chain_ms
 from authguard_r.keys.certificate import (
     Leaf,
     LeafClaims,
@@ -28,10 +29,11 @@ from authguard_r.keys.certificate import (
     build_authority,
     build_leaf,
     build_root,
-    load,
     read_claims,
     walk,
 )
+from authguard_r.keys.loading import load
+from authguard_r.keys.notes import leaf_key
 from authguard_r.keys.trust import is_demo
 from fixtures.amount import amount
 from fixtures.cases import case
@@ -69,6 +71,48 @@ def refused(
     assert caught.value.reason is reason
     assert caught.value.where == where
     return caught.value
+
+
+def changed(der: bytes) -> Iterator[bytes]:
+    """Yield the bytes with each bit changed, one at a time."""
+    for place in range(len(der)):
+        for bit in range(8):
+            made = bytearray(der)
+            made[place] ^= 1 << bit
+            yield bytes(made)
+
+
+@pytest.mark.parametrize("which", ["leaf", "authority"])
+def test_every_changed_bit_of_what_a_chain_says_is_refused(which: str) -> None:
+    """A stranger's certificate ends in a refusal; bits that pad a signature say nothing."""
+    chain = [chains.leaf(house().people).der, house().people.der]
+    place = ["leaf", "authority"].index(which)
+    said, passed = load(chain[place], where=which).tbs_certificate_bytes, 0
+    for der in changed(chain[place]):
+        chain[place] = der
+        try:
+            walk(chain[0], chain[1], roots=(house().root.certificate,), now=NOW)
+        except AuthenticityError:
+            continue
+        passed += 1
+        assert load(der, where=which).tbs_certificate_bytes == said
+    assert passed <= 7
+
+
+@pytest.mark.filterwarnings("ignore:Parsed a serial number")
+@pytest.mark.parametrize(
+    "read", [read_claims, lambda der: leaf_key((der,)), lambda der: chain_ms([der])]
+)
+def test_what_reads_a_certificate_unverified_refuses_what_it_cannot_read(
+    read: Callable[[bytes], object],
+) -> None:
+    refusals = 0
+    for der in changed(chains.leaf(house().people).der):
+        try:
+            read(der)
+        except AuthenticityError:
+            refusals += 1
+    assert refusals or read(b"") == 0
 
 
 # -- good chains -----------------------------------------------------------------------------------

@@ -21,9 +21,10 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
 from authguard_r.keys.authority import issue
-from authguard_r.keys.certificate import Role, build_authority, load
+from authguard_r.keys.certificate import Role, build_authority
 from authguard_r.keys.files import write_keys
 from authguard_r.keys.install import OpenedAnswer, install_answer, open_answer
+from authguard_r.keys.loading import load
 from authguard_r.keys.request import Answer, Wanted, make_request, open_request
 from authguard_r.keys.revocation import Revocation, sign_list
 from authguard_r.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+from base64 import b64encode
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -380,6 +383,33 @@ def test_a_part_that_is_missing_is_a_fault_of_the_world_that_names_it(
 @pytest.mark.parametrize("data", [b"", b"junk", b"-----BEGIN CERTIFICATE-----\nAAAA\n"])
 def test_a_certificate_that_is_none_is_refused(folder: Path, part: str, data: bytes) -> None:
     (folder / part).write_bytes(data)
+    with pytest.raises(AuthenticityError) as caught:
+        read_trust(folder)
+    assert caught.value.reason is Reason.CERTIFICATE_INVALID
+    assert caught.value.where == part.rpartition("/")[2]
+
+
+@pytest.mark.parametrize("part", ["root.pem", "authorities/people.pem"])
+@pytest.mark.parametrize(
+    ("before", "value"),
+    [
+        ("a0030201", 6),  # version 7
+        ("06035504030c", 0x80),  # a common name that is longer than its certificate
+        ("06035504030c..", 0xFF),  # a common name that is no UTF-8
+    ],
+    ids=["version", "length", "name"],
+)
+def test_a_certificate_with_a_part_that_cannot_be_read_is_refused(
+    folder: Path, part: str, before: str, value: int
+) -> None:
+    (whole,) = x509.load_pem_x509_certificates((folder / part).read_bytes())
+    der = whole.public_bytes(Encoding.DER).hex()
+    found = re.search(before, der)
+    assert found is not None
+    broken = bytearray.fromhex(der)
+    broken[found.end() // 2] = value
+    text = b64encode(broken).decode()
+    (folder / part).write_text(f"-----BEGIN CERTIFICATE-----\n{text}\n-----END CERTIFICATE-----\n")
     with pytest.raises(AuthenticityError) as caught:
         read_trust(folder)
     assert caught.value.reason is Reason.CERTIFICATE_INVALID

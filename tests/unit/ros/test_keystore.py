@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 import shutil
+from base64 import b64encode
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.ros.documents import governance, governance_faults, read_permissions
@@ -242,6 +244,16 @@ def swapped(keystore: Path) -> None:
     shutil.copy(other, home(keystore, BASE) / "identity_ca.cert.pem")
 
 
+def nameless(keystore: Path) -> None:
+    """Break the name in an enclave's certificate."""
+    path = home(keystore, BASE) / "cert.pem"
+    (whole,) = x509.load_pem_x509_certificates(path.read_bytes())
+    broken = bytearray(whole.public_bytes(Encoding.DER))
+    broken[broken.index(bytes.fromhex("06035504030c")) + 7] = 0xFF  # no UTF-8
+    text = b64encode(broken).decode()
+    path.write_text(f"-----BEGIN CERTIFICATE-----\n{text}\n-----END CERTIFICATE-----\n")
+
+
 def edited(keystore: Path) -> None:
     """Change permissions without the authority's key."""
     path = home(keystore, PLANNER) / "permissions.p7s"
@@ -265,6 +277,7 @@ Break = Callable[[Path], object]
         (lambda k: home(k, BASE).joinpath("cert.pem").write_text("x"), Code.UNREADABLE, BASE),
         (lambda k: home(k, BASE).joinpath("governance.p7s").unlink(), Code.UNREADABLE, BASE),
         (swapped, Code.FOREIGN, BASE),
+        (nameless, Code.UNREADABLE, BASE),
         (edited, Code.FORGED, PLANNER),
     ],
 )

@@ -52,7 +52,8 @@ from authguard_r.gate.checkup.meaning import binding_advice
 from authguard_r.gate.checkup.users import config_advice, user_advice
 from authguard_r.gate.config import GateConfig
 from authguard_r.keys.algorithms import require_sound
-from authguard_r.keys.certificate import Leaf, Role, load
+from authguard_r.keys.certificate import Leaf, Role
+from authguard_r.keys.loading import load
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.interface import Surface

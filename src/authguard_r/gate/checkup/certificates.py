@@ -16,7 +16,8 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.checkup.advice import Advice, Code, unsafe, warning
-from authguard_r.keys.certificate import Leaf, load
+from authguard_r.keys.certificate import Leaf
+from authguard_r.keys.loading import load
 from authguard_r.keys.trust import ROOT_LISTS, Trust, pairs, read_certificates
 
 #: How long before its end a certificate is warned of.

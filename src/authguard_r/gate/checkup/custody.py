@@ -14,13 +14,13 @@ from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 
-from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.gate.checkup.advice import Advice, Code, fine, unsafe, warning
 from authguard_r.keys.certificate import Role, read_claims
 from authguard_r.keys.files import holds_key, holds_plain_key
+from authguard_r.keys.loading import load_pem
 from authguard_r.keys.signer import read_keys
 
 #: Most files that are looked through for keys in one folder.
@@ -240,9 +240,9 @@ def role_of(key: Path | None, chain: Path | None = None) -> Role | None:
     if chain is None:
         return None
     try:
-        leaf = x509.load_pem_x509_certificates(chain.read_bytes())[0]
+        leaf = load_pem(chain.read_bytes(), where=str(chain))[0]
         return read_claims(leaf.public_bytes(Encoding.DER)).role
-    except (OSError, ValueError, AuthGuardError):
+    except (OSError, AuthGuardError):
         return None
 
 
