@@ -6,12 +6,15 @@ from __future__ import annotations
 import io
 import json
 import stat
+from base64 import b64encode
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode
@@ -266,7 +269,15 @@ def test_a_certificate_of_somebody_else_or_of_other_members_is_refused(desk: Des
     assert "says the same of the group" in said
     Path("trust/keys/bad.cert.pem").write_text("no certificate", encoding="utf-8")
     said = desk.refused(*aggregate_words("ana", "cho", signers=signers, cert="bad"), code=4)
-    assert "PEM certificates" in said
+    assert "expected a PEM certificate" in said
+    whole = x509.load_pem_x509_certificates(Path("trust/keys/board-1.cert.pem").read_bytes())[0]
+    strange = whole.public_bytes(Encoding.DER).replace(b"\x06\x03+ep\x03!\0", b"\x06\x03+ey\x03!\0")
+    text = b64encode(strange).decode()
+    Path("trust/keys/bad.cert.pem").write_text(
+        f"-----BEGIN CERTIFICATE-----\n{text}\n-----END CERTIFICATE-----\n"
+    )
+    said = desk.refused(*aggregate_words("ana", "cho", signers=signers, cert="bad"), code=4)
+    assert "expected a key of a known algorithm" in said
 
 
 def test_secrets_are_written_for_their_owner_alone_and_never_over_anything(desk: Desk) -> None:

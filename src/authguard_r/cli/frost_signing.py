@@ -10,8 +10,7 @@ from typing import Any
 
 import msgspec
 import typer
-from cryptography import x509
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 
 from authguard_r.assembly import Gate
@@ -59,6 +58,7 @@ from authguard_r.frost.messages import (
 )
 from authguard_r.frost.nonces import NonceStore
 from authguard_r.gate.questions import OpenQuestions
+from authguard_r.keys.loading import key_of, load_pem
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.wire.questions import Question
 
@@ -279,11 +279,8 @@ def _chain(group: Group, cert: Path, trust: Path | None) -> tuple[bytes, ...]:
     Raises:
         AuthenticityError: it is another key's, says another group, or does not hold.
     """
-    try:
-        found = x509.load_pem_x509_certificates(read_file(cert))
-        raw = found[0].public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
-    except (ValueError, x509.InvalidVersion) as error:
-        raise _bad("expected PEM certificates", cert) from error
+    found = load_pem(read_file(cert), where=cert.name)
+    raw = key_of(found[0], where=cert.name).public_bytes_raw()
     chain = tuple(item.public_bytes(Encoding.DER) for item in found)
     if raw != public_key(group):
         raise _bad("expected the certificate of the group's key", cert)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.cli.ask import confirm_shown
@@ -33,6 +32,7 @@ from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.authority import issue, require_grantable, wider
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.install import OpenedAnswer, install_answer, open_answer, require_root
+from authguard_r.keys.loading import load
 from authguard_r.keys.request import OpenedRequest, fingerprint, open_request
 from authguard_r.keys.revoking import signing_here
 from authguard_r.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
@@ -224,7 +224,7 @@ def _require_own(
 
 def _pem(opened: OpenedAnswer) -> bytes:
     return b"".join(
-        x509.load_der_x509_certificate(der).public_bytes(Encoding.PEM)
+        load(der, where="answer.chains").public_bytes(Encoding.PEM)
         for chain in opened.chains
         for der in chain
     )

@@ -22,10 +22,11 @@ from authguard_r.core.errors import (
 )
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.algorithms import PublicKey, algorithm_of, require_sound
+from authguard_r.keys.algorithms import PublicKey, algorithm_of
 from authguard_r.keys.certificate import Leaf, build_leaf
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.folder import ISSUED, Given, alone, certified, given, require_lasting
+from authguard_r.keys.loading import key_of
 from authguard_r.keys.request import OpenedRequest, Wanted, make_answer
 from authguard_r.keys.setup import (
     AUTHORITIES,
@@ -346,7 +347,7 @@ def _issuers(folder: Path, wanted: Wanted) -> list[str]:
 
 
 def _public(certificate: x509.Certificate) -> PublicKey:
-    return require_sound(certificate.public_key(), where="authorities")
+    return key_of(certificate, where="authorities")
 
 
 def _taken(message: str, where: str = "request.principal") -> RefusedError:

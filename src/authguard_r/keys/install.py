@@ -17,10 +17,9 @@ from authguard_r.core.encoding import decode, unb64
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.certificate import Leaf, require_authority
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.loading import load
+from authguard_r.keys.loading import key_of, load
 from authguard_r.keys.request import Answer, fingerprint
 from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.setup import AUTHORITIES, SUFFIXES
@@ -199,5 +198,5 @@ def _certificate(text: str, *, where: str) -> x509.Certificate:
 
 
 def _list(text: str, name: str, authority: x509.Certificate) -> RevocationList:
-    key = require_sound(authority.public_key(), where=f"answer.authorities.{name}")
+    key = key_of(authority, where=f"answer.authorities.{name}")
     return read_list(text.encode("utf-8"), authority=name, key=key)

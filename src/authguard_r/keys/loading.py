@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes to a certificate, once every part of it can be read; what it may do, `certificate` says.
+"""Load a certificate, and refuse one with a part that cannot be read.
+
+`certificate` checks what its holder may sign.
 
 Spec page: docs/spec/token.md#certificates
 """
@@ -15,20 +17,20 @@ from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import PublicKey, require_sound
 
-#: What the library raises for bytes that are no certificate, and for a part that it cannot read.
+#: The library's errors for bytes that are not a certificate and for parts that it cannot read.
 _UNREADABLE = (ValueError, x509.InvalidVersion, CryptographyDeprecationWarning)
 
 
 def load(der: bytes, *, where: str) -> x509.Certificate:
-    """Return the certificate in the bytes.
+    """Return the certificate in DER bytes; every part of it can be read.
 
     Raises:
-        AuthenticityError: they are none.
+        AuthenticityError: the bytes are not a certificate, or a part cannot be read.
     """
     try:
         certificate = x509.load_der_x509_certificate(der)
         positive = certificate.serial_number > 0
-        # the library parses a name only when it is asked for: a broken one is refused here
+        # the library parses names on first use: read them here, so that no later use can fail
         _ = certificate.subject, certificate.issuer
         _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     except _UNREADABLE as error:
@@ -42,7 +44,7 @@ def load_pem(text: bytes, *, where: str) -> tuple[x509.Certificate, ...]:
     """Return the certificates in PEM text, at least one.
 
     Raises:
-        AuthenticityError: it holds something else.
+        AuthenticityError: the text is not PEM, or one of its certificates cannot be read.
     """
     try:
         found = x509.load_pem_x509_certificates(text)
@@ -52,10 +54,12 @@ def load_pem(text: bytes, *, where: str) -> tuple[x509.Certificate, ...]:
 
 
 def key_of(certificate: x509.Certificate, *, where: str) -> PublicKey:
-    """Return a certificate's public key, checked; whose it is, nobody has verified.
+    """Return a certificate's public key after a check of its algorithm and value.
+
+    The caller checks the chain: without it, the key can be anybody's.
 
     Raises:
-        AuthenticityError: `KEY_INVALID`: an algorithm that is not supported, or an unsound key.
+        AuthenticityError: `KEY_INVALID`: the algorithm is not supported, or the key is unsound.
     """
     try:
         public = certificate.public_key()

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -21,6 +23,7 @@ from authguard_r.core.identifiers import PrincipalId, RegionId, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Scope
+from authguard_r.keys import loading
 from authguard_r.keys.beginning import chain_ms
 from authguard_r.keys.certificate import (
     Leaf,
@@ -73,6 +76,10 @@ def refused(
     return caught.value
 
 
+#: The library's functions that load certificates.
+_LOADS = re.compile(r"load_(der|pem)_x509_certificate")
+
+
 def changed(der: bytes) -> Iterator[bytes]:
     """Yield the bytes with each bit changed, one at a time."""
     for place in range(len(der)):
@@ -100,10 +107,8 @@ def test_every_changed_bit_of_what_a_chain_says_is_refused(which: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Parsed a serial number")
-@pytest.mark.parametrize(
-    "read", [read_claims, lambda der: leaf_key((der,)), lambda der: chain_ms([der])]
-)
-def test_what_reads_a_certificate_unverified_refuses_what_it_cannot_read(
+@pytest.mark.parametrize("read", [read_claims, lambda der: leaf_key((der,))], ids=["claims", "key"])
+def test_a_reader_of_an_unverified_certificate_refuses_what_it_cannot_read(
     read: Callable[[bytes], object],
 ) -> None:
     refusals = 0
@@ -112,7 +117,30 @@ def test_what_reads_a_certificate_unverified_refuses_what_it_cannot_read(
             read(der)
         except AuthenticityError:
             refusals += 1
-    assert refusals or read(b"") == 0
+    assert refusals > 100
+
+
+@pytest.mark.filterwarnings("ignore:Parsed a serial number")
+def test_a_certificate_that_cannot_be_read_says_nothing_of_the_time() -> None:
+    whole = chains.leaf(house().people).der
+    assert chain_ms([whole]) > 0
+    assert sum(chain_ms([der]) == 0 for der in changed(whole)) > 100
+
+
+def test_a_key_of_an_unknown_algorithm_is_refused() -> None:
+    whole = chains.leaf(house().people)
+    der = whole.der.replace(bytes.fromhex("06032b6570032100"), bytes.fromhex("06032b6579032100"))
+    assert der != whole.der
+    with pytest.raises(AuthenticityError) as caught:
+        leaf_key((der,))
+    assert caught.value.reason is Reason.KEY_INVALID
+
+
+def test_certificates_are_loaded_in_one_place() -> None:
+    """Every part is read there; `signer` compares keys alone and refuses each error itself."""
+    source = Path(loading.__file__).parents[1]
+    places = {p.name for p in source.rglob("*.py") if re.search(_LOADS, p.read_text())}
+    assert places == {"loading.py", "signer.py"}
 
 
 # -- good chains -----------------------------------------------------------------------------------

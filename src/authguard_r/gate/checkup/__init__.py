@@ -51,9 +51,8 @@ from authguard_r.gate.checkup.machine import machine_advice, room_advice
 from authguard_r.gate.checkup.meaning import binding_advice
 from authguard_r.gate.checkup.users import config_advice, user_advice
 from authguard_r.gate.config import GateConfig
-from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.certificate import Leaf, Role
-from authguard_r.keys.loading import load
+from authguard_r.keys.loading import key_of, load
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.interface import Surface
@@ -266,10 +265,7 @@ def _authority_keys(folder: Path | None) -> dict[bytes, str]:
     except AuthGuardError:
         return {}  # what is wrong with the folder was said
     named = ((load(der, where="authority"), known.authority) for der, known in lists.items())
-    return {
-        require_sound(cert.public_key(), where=name).public_bytes_raw(): name
-        for cert, name in named
-    }
+    return {key_of(cert, where=name).public_bytes_raw(): name for cert, name in named}
 
 
 def _files(setup: Setup) -> Files:
