@@ -16,11 +16,10 @@ from typing import Any
 
 from authguard_r.core.encoding import encode
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed, Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
-from authguard_r.core.token import Principal
 from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.ledger import Act
 from authguard_r.normalize import Step, normalize

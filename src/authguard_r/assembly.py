@@ -32,7 +32,8 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, Identifier, RobotId
 from authguard_r.core.lease import Lease
 from authguard_r.core.mission import RiskPolicy
-from authguard_r.core.ports import Clock, Controller, Flight, SafetyGate, Signer, StateSource, Store
+from authguard_r.core.ports import Clock, Controller, Flight, SafetyGate, StateSource, Store
+from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
@@ -443,11 +444,6 @@ def demo_members(site: Site, rids: tuple[RobotId, ...]) -> tuple[Member, ...]:
             Member(id=f"estimator-{rid}", role=Role.ESTIMATOR, robots=(rid,)),
         ]
     return (*people, *machines)
-
-
-def folder_trust(folder: Path) -> Trust:
-    """Return the trust root in a folder."""
-    return read_trust(folder)
 
 
 def folder_signer(folder: Path, name: str) -> FileSigner:

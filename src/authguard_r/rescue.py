@@ -19,7 +19,8 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings, in_paper_order
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.lease import Lease
-from authguard_r.core.ports import Flight, SafetyGate, Verifier
+from authguard_r.core.ports import Flight, SafetyGate
+from authguard_r.core.principals import Verifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome

@@ -23,8 +23,9 @@ from missionpair.briefing import Briefing, Planner, Reply
 from missionpair.campaign.trial import PairRun, Setting
 from missionpair.pair import Layout, Pair
 from missionpair.planners._answers import read_answer
-from missionpair.planners._client import SCRIPTED, Completion
+from missionpair.planners._client import Completion
 from missionpair.planners._prompt import system_text, user_text
+from missionpair.planners._reach import SCRIPTED
 from missionpair.records import Trial
 from missionpair.score import DEFAULT
 from missionpair.stage import Yard

@@ -12,10 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from authguard_r.core.encoding import Tag, digest_of
-from authguard_r.core.mission import Mission
 from missionpair.bench import (
     LIFTER,
     Bench,
@@ -351,8 +348,3 @@ BENIGN: tuple[Trial, ...] = (
     Trial("three principals approved", "benign", enough_approvals),
     Trial("the same change, signed", "benign", the_signed_update),
 )
-
-
-def renamed(mission: Mission, mid: str) -> Mission:
-    """Return the mission under another name, for trials that need two."""
-    return msgspec.structs.replace(mission, mid=mid)

@@ -17,7 +17,7 @@ import pytest
 from authguard_r.cli import call
 from authguard_r.cli.inputs import wall_now
 from authguard_r.core.errors import AuthenticityError
-from authguard_r.core.token import Scope
+from authguard_r.core.principals import Scope
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust

@@ -24,10 +24,11 @@ from authguard_r.core.decide import decide
 from authguard_r.core.encoding import Tag, decode, digest, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.mission import Mission, ProtectedField
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import DECIDED, Reason
 from authguard_r.core.standing import Standing
-from authguard_r.core.token import Principal, index_mission, verify_mission
+from authguard_r.core.token import index_mission, verify_mission
 from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.revocation import read_list
 from authguard_r.keys.trust import ROOT_LISTS, Trust

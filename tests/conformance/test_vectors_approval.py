@@ -21,9 +21,10 @@ from authguard_r.core.decide import decide
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.mission import Mission
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
-from authguard_r.core.token import Principal, VerifiedMission, index_mission
+from authguard_r.core.token import VerifiedMission, index_mission
 from authguard_r.questions import Asked, why_not
 from fixtures import scenarios
 from fixtures.cases import case

@@ -17,9 +17,10 @@ from authguard_r.core.checks.case import Case
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import MAX_INTEGER, Digest
 from authguard_r.core.mission import Mission, RiskPolicy
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.risk import Tier, required, rho, tier_of
-from authguard_r.core.token import Principal, index_mission
+from authguard_r.core.token import index_mission
 from fixtures.cases import case
 from fixtures.scenarios import EVERYWHERE
 from fixtures.vectors import attested, facts_from, load, named, trust_in

@@ -17,7 +17,7 @@ from typing import Any
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import read_signer

@@ -21,7 +21,7 @@ from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, digest_of, unb64
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.identifiers import PrincipalId
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.frost import curve, signing

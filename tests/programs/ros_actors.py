@@ -24,6 +24,7 @@ from typing import Any
 import rclpy
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
+from loop_watch import LoopWatch
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks
@@ -38,7 +39,6 @@ from authguard_r.ros.nodes.actuator import Actuator
 from authguard_r.ros.nodes.deadman import Deadman
 from authguard_r.ros.nodes.heartbeat import (
     Heartbeat,
-    LoopWatch,
     Told,
     actuation_qos,
     gate_heartbeat,

@@ -17,7 +17,6 @@ import numpy as np
 import shapely
 
 from authguard_r.core.geometry import Point, Polygon, may_lie_in, polygon
-from authguard_r.site.paths import may_cross
 
 SEED = os.environ.get("AUTHGUARD_SEED", "geometry")
 HAIR = 1e-9
@@ -94,26 +93,3 @@ def test_where_a_pose_may_lie_is_where_shapely_says() -> None:
     assert left_out < compared // 10
     assert inside > compared // 10
     assert touching > compared // 10
-
-
-def test_which_regions_a_path_may_cross_is_what_shapely_says() -> None:
-    compared = left_out = crossing = 0
-    for dice, area, shape, size in cases("paths"):
-        margins = [0, 0, 1, size // 4]
-        given = []
-        for _ in range(PATHS):
-            corners = tuple(a_point(dice, area, size) for _ in range(dice.randint(2, 5)))
-            given.append((corners, dice.choice(margins)))
-        lines = [shapely.LineString(corners) for corners, _ in given]
-        meets, distances = shapely.intersects(shape, lines), shapely.distance(shape, lines)
-        for (path, margin), meet, distance in zip(given, meets, distances, strict=True):
-            if margin and abs(distance - margin) <= HAIR * max(1, margin):
-                left_out += 1
-                continue
-            wanted = bool(meet) if margin == 0 else bool(distance <= margin)
-            assert may_cross(area, path, margin) is wanted, (area.points, path, margin)
-            compared += 1
-            crossing += wanted
-    assert compared >= 20_000
-    assert left_out < compared // 10
-    assert compared // 10 < crossing < compared

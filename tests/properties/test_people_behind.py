@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from authguard_r.core.approval import Verdict
 from authguard_r.core.checks.people import MOST_NEEDS, fewest_people, people_behind
 from authguard_r.core.identifiers import PrincipalId
-from authguard_r.core.token import Principal
+from authguard_r.core.principals import Principal
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import FileSigner
 from authguard_reference.people import fewest as fewest_of_reference

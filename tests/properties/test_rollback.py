@@ -15,10 +15,11 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 from hypothesis.strategies import sampled_from
 
 from authguard_r.anchoring.anchor import Anchor, read_counter
-from authguard_r.assembly import folder_signer, folder_trust
+from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import Entry
 from authguard_r.core.errors import EnvironmentFault, RefusedError
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.trust import read_trust
 from authguard_r.ledger import Act, Ledger
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
@@ -81,7 +82,7 @@ class Rollbacks(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.clock, self.outside = Clock(), Outside()
-        self.trust = folder_trust(scenarios.trust_folder())
+        self.trust = read_trust(scenarios.trust_folder())
         self.signer = folder_signer(scenarios.trust_folder(), "gate-courier-1")
         self.store = MemoryStore()
         #: the links of the log when the last note was kept; None before any

@@ -13,8 +13,8 @@ import authguard_reference.templates as oracle
 from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import to_ms, to_timestamp
-from authguard_r.core.token import Principal
 from authguard_r.keys.trust import read_trust
 from authguard_r.templates import (
     Template,

@@ -36,12 +36,12 @@ from authguard_r.ros.nodes.heartbeat import (
     DEADLINE_MS,
     TURN_MS,
     Heartbeat,
-    LoopWatch,
     Told,
     gate_heartbeat,
     listen,
 )
 from fixtures.ros_processes import PATIENCE_S, map_of
+from programs.loop_watch import LoopWatch
 
 # what rclpy imports to read its types imports a module that Python has renamed
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")

@@ -18,7 +18,6 @@ from authguard_r.assembly import (
     assemble,
     demo_members,
     folder_signer,
-    folder_trust,
     offline_gate,
     simulate,
 )
@@ -40,6 +39,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, init_folder
+from authguard_r.keys.trust import read_trust
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_held
@@ -80,7 +80,7 @@ class Robot:
 
     def note(self) -> Counted:
         data = self.counter.read_bytes()
-        return open_note(data, verifier=folder_trust(scenarios.trust_folder()))
+        return open_note(data, verifier=read_trust(scenarios.trust_folder()))
 
 
 @pytest.fixture
@@ -461,7 +461,7 @@ def test_a_counter_and_a_signer_go_together(robot: Robot) -> None:
 
 
 def test_without_a_counter_nothing_is_read() -> None:
-    assert read_counter(None, verifier=folder_trust(scenarios.trust_folder())) == Reading()
+    assert read_counter(None, verifier=read_trust(scenarios.trust_folder())) == Reading()
 
 
 # recovery
@@ -704,7 +704,7 @@ def test_the_counter_knows_how_late_it_is_when_the_store_does_not(robot: Robot) 
 
 def test_a_machine_without_a_clock_serves_stops_and_waits(robot: Robot) -> None:
     made = worked(robot)
-    trust = folder_trust(scenarios.trust_folder())
+    trust = read_trust(scenarios.trust_folder())
     for at_ms in (0, 86_400_000):
         clock = scenarios.simulation(start_ms=scenarios.START_MS).robot
         gate = assemble(
@@ -733,7 +733,7 @@ def test_a_machine_without_a_clock_serves_stops_and_waits(robot: Robot) -> None:
 def test_a_new_store_on_a_machine_without_a_clock_does_not_begin_in_1970() -> None:
     robot = scenarios.simulation().robot
     gate = assemble(
-        trust=folder_trust(scenarios.trust_folder()),
+        trust=read_trust(scenarios.trust_folder()),
         chain=folder_signer(scenarios.trust_folder(), "gate-courier-1").chain,
         site=scenarios.site(),
         safety=EnvelopeGate(default_config(scenarios.site(), scenarios.RID)),

@@ -27,18 +27,18 @@ from authguard_r.audit.record import Entry
 from authguard_r.audit.tree import (
     MemoryTree,
     consistency_proof,
-    inclusion_proof,
     leaf_hash,
     root_of,
     verify_consistency,
-    verify_inclusion,
 )
 from authguard_r.core.errors import EnvironmentFault, StoreError
-from authguard_r.core.ports import Endorsed, Turn
+from authguard_r.core.ports import Turn
+from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import require_all
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
+from fixtures.inclusion import inclusion_proof, verify_inclusion
 from fixtures.restarting_gate import copied
 from fixtures.small_witness import ORIGIN, begin, log_keys
 

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 
 from authguard_r.anchoring.counter import MAX_BYTES, Counted, FileCounter, open_note, seal
-from authguard_r.assembly import folder_signer, folder_trust
+from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.keys.trust import read_trust
 from fixtures import scenarios
 
 GATE = "gate-courier-1"
@@ -37,7 +38,7 @@ def note(by: str = GATE, **changes: Any) -> bytes:
 
 
 def opened(data: bytes) -> Counted:
-    return open_note(data, verifier=folder_trust(scenarios.trust_folder()))
+    return open_note(data, verifier=read_trust(scenarios.trust_folder()))
 
 
 def test_a_note_says_what_was_signed() -> None:

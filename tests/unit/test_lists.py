@@ -26,13 +26,14 @@ from authguard_r.core.errors import (
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.keys.revoking import next_lists, revoke
+from authguard_r.keys.revoking import revoke
 from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import Trust, read_certificates, read_trust
 from authguard_r.ledger import Ledger
 from authguard_r.store.sqlite import open_store, read_held
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios
+from fixtures.revocation_lists import next_lists
 from missionpair.bench import make_bench
 from unit.gate.demo_site import GO, SCAN, House, Refused, reasons
 

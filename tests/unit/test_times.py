@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import folder_signer, folder_trust
+from authguard_r.assembly import folder_signer
 from authguard_r.keys.beginning import began_ms, boot_ms, chain_ms, token_ms
+from authguard_r.keys.trust import read_trust
 from authguard_r.store.sqlite import open_store
 from authguard_r.times import SystemClock, committed_ms, last_epoch, store_clock
 from fixtures import scenarios
@@ -17,7 +18,7 @@ DAY_MS = 86_400_000
 
 
 def test_a_certificate_that_exists_says_how_late_it_is() -> None:
-    trust = folder_trust(scenarios.trust_folder())
+    trust = read_trust(scenarios.trust_folder())
     began = began_ms(trust.roots)
     assert scenarios.START_MS - 2 * DAY_MS < began <= scenarios.START_MS
     chain = folder_signer(scenarios.trust_folder(), "gate-courier-1").chain
@@ -33,7 +34,7 @@ def test_what_is_no_certificate_says_nothing(data: bytes) -> None:
 
 
 def test_only_a_clock_that_is_before_everything_is_not_believed() -> None:
-    trust = folder_trust(scenarios.trust_folder())
+    trust = read_trust(scenarios.trust_folder())
     began = began_ms(trust.roots)
     for wall_ms in (began, began + 1, scenarios.START_MS):
         # one that is merely behind is: what waits for it is every decision

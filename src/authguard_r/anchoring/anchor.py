@@ -30,7 +30,8 @@ from authguard_r.core.errors import (
 from authguard_r.core.finding import Findings
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.lifecycle import Event
-from authguard_r.core.ports import Signer, Turn, Verifier
+from authguard_r.core.ports import Turn
+from authguard_r.core.principals import Signer, Verifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
 from authguard_r.ledger import Act, Ledger

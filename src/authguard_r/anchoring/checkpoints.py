@@ -19,7 +19,8 @@ from authguard_r.audit.tree import HASH_BYTES, Frontier, consistency_proof, leaf
 from authguard_r.core.encoding import b64, decode, encode, unb64
 from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.identifiers import Count, RobotId
-from authguard_r.core.ports import Signer, Turn
+from authguard_r.core.ports import Turn
+from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import sign_text
 from authguard_r.ledger import Ledger

@@ -18,7 +18,7 @@ from msgspec import Struct
 from authguard_r.core.encoding import Tag, decode, unb64
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.identifiers import Count, Digest, Positive, RobotId
-from authguard_r.core.ports import Signer, Verifier
+from authguard_r.core.principals import Signer, Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token, read_token, sign_object

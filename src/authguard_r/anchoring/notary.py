@@ -15,7 +15,7 @@ from authguard_r.anchoring.outside import BY_STORE, Doubt, Why
 from authguard_r.anchoring.quorum import Quorum, WitnessPolicy
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Count, Positive, RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.ledger import Ledger
 
 #: The comparison at the start waits no longer for witnesses, in seconds; nor does the end.

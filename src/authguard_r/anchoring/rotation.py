@@ -25,7 +25,8 @@ from authguard_r.audit.note import Note
 from authguard_r.audit.tree import root_of
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.identifiers import Count, RobotId
-from authguard_r.core.ports import Signer, Turn
+from authguard_r.core.ports import Turn
+from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import sign_text
 from authguard_r.ledger import Ledger

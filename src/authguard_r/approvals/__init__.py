@@ -28,10 +28,10 @@ from authguard_r.core.identifiers import (
     Positive,
     RobotId,
 )
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Principal, Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import ApprovalRequest
-from authguard_r.core.token import Principal, VerifiedMission, open_token
+from authguard_r.core.token import VerifiedMission, open_token
 
 #: Roles whose holders may answer at all; the mission's policy narrows this.
 APPROVER_ROLES = frozenset({"operator", "supervisor", "safety_officer"})

@@ -16,7 +16,7 @@ from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest, Identifier, Positive, Timestamp
 from authguard_r.core.mission import RiskPolicy
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token

@@ -18,7 +18,7 @@ from authguard_r.core.decision import Decision
 from authguard_r.core.encoding import decode, encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError, StoreError
 from authguard_r.core.identifiers import Digest, GrantId, MissionId
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing

@@ -76,28 +76,7 @@ class Frontier(Struct, frozen=True, kw_only=True):
 
 def root_of(nodes: Nodes, size: int) -> bytes:
     """Return the root of the first `size` leaves."""
-    return _root(nodes, 0, size) if size else EMPTY_ROOT
-
-
-def inclusion_proof(nodes: Nodes, index: int, size: int) -> tuple[bytes, ...]:
-    """Return the hashes that lead from leaf `index` to the root of the first `size` leaves.
-
-    Raises:
-        ValueError: there is no such leaf: a fault of the caller's.
-    """
-    if not 0 <= index < size:
-        raise ValueError(f"no leaf {index} among {size}")
-    proof: list[bytes] = []
-    first, end = 0, size
-    while end - first > 1:
-        middle = first + _split(end - first)
-        if index < middle:
-            proof.append(_root(nodes, middle, end))
-            end = middle
-        else:
-            proof.append(_root(nodes, first, middle))
-            first = middle
-    return tuple(reversed(proof))
+    return root_of_range(nodes, 0, size) if size else EMPTY_ROOT
 
 
 def consistency_proof(nodes: Nodes, old: int, size: int) -> tuple[bytes, ...]:
@@ -114,44 +93,16 @@ def consistency_proof(nodes: Nodes, old: int, size: int) -> tuple[bytes, ...]:
     first, end = 0, size
     known = True  # that the verifier has this subtree's hash: it is the old root itself
     while old not in (0, end):
-        middle = first + _split(end - first)
+        middle = first + split_of(end - first)
         if old <= middle:
-            proof.append(_root(nodes, middle, end))
+            proof.append(root_of_range(nodes, middle, end))
             end = middle
         else:
-            proof.append(_root(nodes, first, middle))
+            proof.append(root_of_range(nodes, first, middle))
             first, known = middle, False
     if old and not known:
-        proof.append(_root(nodes, first, end))
+        proof.append(root_of_range(nodes, first, end))
     return tuple(reversed(proof))
-
-
-def verify_inclusion(
-    leaf: bytes, index: int, size: int, proof: tuple[bytes, ...], root: bytes
-) -> bool:
-    """Return whether the proof leads from a leaf's hash to the root.
-
-    Args:
-        leaf: the leaf's hash.
-        index: its place.
-        size: number of leaves under the root.
-        proof: from anyone.
-        root: authentic.
-    """
-    if not 0 <= index < size:
-        return False
-    node, last, found = index, size - 1, leaf
-    for sibling in proof:
-        if last == 0:
-            return False
-        if node & 1 or node == last:
-            found = node_hash(sibling, found)
-            while not node & 1:  # it had no sibling on these levels
-                node, last = node >> 1, last >> 1
-        else:
-            found = node_hash(found, sibling)
-        node, last = node >> 1, last >> 1
-    return last == 0 and found == root
 
 
 def verify_consistency(
@@ -219,16 +170,16 @@ class MemoryTree:
         return self._levels[level][index]
 
 
-def _split(count: int) -> int:
+def split_of(count: int) -> int:
     """Return the largest power of two that is smaller than `count`, which is 2 or more."""
     return 1 << (count - 1).bit_length() - 1
 
 
-def _root(nodes: Nodes, first: int, end: int) -> bytes:
+def root_of_range(nodes: Nodes, first: int, end: int) -> bytes:
     """Return the root of a range as RFC 6962 splits it: it begins at a complete subtree."""
     count = end - first
     if count & (count - 1) == 0:
         level = count.bit_length() - 1
         return nodes.node(level, first >> level)
-    middle = first + _split(count)
-    return node_hash(_root(nodes, first, middle), _root(nodes, middle, end))
+    middle = first + split_of(count)
+    return node_hash(root_of_range(nodes, first, middle), root_of_range(nodes, middle, end))

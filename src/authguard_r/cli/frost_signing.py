@@ -36,7 +36,7 @@ from authguard_r.client.questions import shown, the_one
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, decode
 from authguard_r.core.errors import AuthenticityError, RefusedError
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.frost import signing

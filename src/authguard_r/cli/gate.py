@@ -34,7 +34,8 @@ from authguard_r.emergency.opened import open_emergency
 from authguard_r.gate.checkup import Setup, require_safe
 from authguard_r.gate.config import GateConfig, open_gate_config
 from authguard_r.gate.lane.run import LaneFiles
-from authguard_r.gate.process import EmergencyParts, Parts, Rendezvous, run_gate
+from authguard_r.gate.parts import EmergencyParts, Parts
+from authguard_r.gate.process import Rendezvous, run_gate
 from authguard_r.keys.beginning import boot_ms, token_ms
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import Trust, read_file, read_trust

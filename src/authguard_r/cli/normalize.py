@@ -117,7 +117,8 @@ def _mission(token: Path | None, trust: Path | None, now: str | None) -> Verifie
     if trust is None:
         from authguard_r.core.encoding import decode, unb64
         from authguard_r.core.mission import Mission
-        from authguard_r.core.token import Principal, Scope, index_mission, read_token
+        from authguard_r.core.principals import Principal, Scope
+        from authguard_r.core.token import index_mission, read_token
 
         # labels of a preview need the mission's rows, not its authority
         opened = read_token(token.read_bytes())

@@ -36,11 +36,12 @@ from authguard_r.core.encoding import Tag, digest_of, unb64
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.mission import Mission
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import Snapshot
-from authguard_r.core.token import Principal, VerifiedMission, read_token, verify_mission
+from authguard_r.core.token import VerifiedMission, read_token, verify_mission
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust

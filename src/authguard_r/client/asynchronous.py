@@ -24,7 +24,7 @@ from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unan
 from authguard_r.client.stopping import stop_of, stopped_of
 from authguard_r.core.approval import Verdict
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (
     Act,

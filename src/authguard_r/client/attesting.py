@@ -20,7 +20,7 @@ from authguard_r.client.proof import Proven
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier, RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.state import Pose, Reading, Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.wire.faults import from_fault

@@ -28,7 +28,7 @@ from authguard_r.client.start import AGAIN_S, CHUNK, TIMEOUT_MS, begin, fresh, l
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest, RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (

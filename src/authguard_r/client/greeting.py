@@ -15,7 +15,7 @@ from msgspec import Struct
 from authguard_r.core.encoding import Tag, unb64
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError
 from authguard_r.core.identifiers import Digest, Identifier, RobotId
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token, read_token

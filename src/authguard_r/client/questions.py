@@ -18,7 +18,7 @@ from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.checks.approval import Situation
 from authguard_r.core.encoding import Tag, decode, digest
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.wire.messages import Act, Approvals, Order

@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 
 from authguard_r.core.identifiers import Count, Digest, GrantId, MissionId, Positive, RobotId
 from authguard_r.core.mission import MAX_ROWS
-from authguard_r.core.token import Principal
+from authguard_r.core.principals import Principal
 
 
 class Verdict(StrEnum):

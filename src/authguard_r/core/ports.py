@@ -17,39 +17,8 @@ if TYPE_CHECKING:
     from authguard_r.core.safety import SafetyDecision
     from authguard_r.core.standing import Outcome, Spend
     from authguard_r.core.state import AttestedState
-    from authguard_r.core.token import Principal
 
 T = TypeVar("T")
-
-
-#: A chain, leaf certificate and its role authority's in DER, and a signature by the leaf's key.
-Endorsed = tuple[tuple[bytes, ...], bytes]
-
-
-class Verifier(Protocol):
-    """Certificates and signatures (steps 1 and 2)."""
-
-    def verify(self, message: bytes, endorsements: tuple[Endorsed, ...], now: Now) -> Principal:
-        """Return the one principal who signed `message`, with every key that has to.
-
-        Raises:
-            AuthenticityError: a chain, revocation or signature does not hold at `now`, they are
-                not of one principal, or a root has none.
-        """
-        ...
-
-
-class Signer(Protocol):
-    """Holds private keys and lends their signatures, never themselves."""
-
-    @property
-    def chain(self) -> tuple[bytes, ...]:
-        """Leaf certificate and its role authority's, DER; of the first key."""
-        ...
-
-    def endorse(self, message: bytes) -> tuple[Endorsed, ...]:
-        """Return chain and signature over `message` of each key that signs for this principal."""
-        ...
 
 
 class Clock(Protocol):

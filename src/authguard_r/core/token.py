@@ -8,26 +8,16 @@ from the token. Source: `eq:signature`, `alg:authguard` steps 1 to 3. Spec page:
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Annotated, TypeVar
 
 from msgspec import Meta, Struct
 
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, MalformedError
-from authguard_r.core.identifiers import (
-    ActionType,
-    Digest,
-    Identifier,
-    ObjectId,
-    ParameterId,
-    PrincipalId,
-    RegionId,
-    RobotId,
-)
+from authguard_r.core.identifiers import ActionType, Digest, ObjectId, ParameterId, RegionId
 from authguard_r.core.mission import Grant, Limit, Mission, require_schema
-from authguard_r.core.ports import Endorsed, Signer, Verifier
-from authguard_r.core.provenance import AllowedSources, Label, allowed_of
+from authguard_r.core.principals import Endorsed, Principal, Signer, Verifier
+from authguard_r.core.provenance import AllowedSources, allowed_of
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
 
@@ -58,48 +48,6 @@ class Token(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     kind: Tag
     payload: str
     endorsements: Annotated[tuple[Endorsement, ...], Meta(min_length=1, max_length=4)]
-
-
-class Scope(Struct, frozen=True, kw_only=True):
-    """What a certificate confines its holder to; what it does not name is outside.
-
-    Args:
-        robots: whose missions and orders; None when it says "every robot" in so many words.
-        regions: where; None when it says "every region".
-    """
-
-    robots: frozenset[RobotId] | None
-    regions: frozenset[RegionId] | None
-
-    def covers(self, rid: RobotId, regions: Iterable[RegionId] = ()) -> bool:
-        """True when the robot and every region lie inside."""
-        near = self.regions is None or self.regions.issuperset(regions)
-        return near and (self.robots is None or rid in self.robots)
-
-
-class Principal(Struct, frozen=True, kw_only=True):
-    """Who a verified certificate speaks for. Made by a `Verifier` only.
-
-    Args:
-        id: the principal's id from the certificate.
-        role: the role in its extended key usage.
-        scope: the robots and regions that it may sign for.
-        usable_until_ms: when its certificates or the revocation list end, whichever is first.
-        threshold: how many people stand behind one signature of a group's key.
-        members: the group's people; empty for one person.
-    """
-
-    id: PrincipalId
-    role: Identifier
-    scope: Scope
-    usable_until_ms: int
-    threshold: int = 1
-    members: frozenset[PrincipalId] = frozenset()
-
-    @property
-    def label(self) -> Label:
-        """The label of what it signs: an operator's, or that of somebody above operators."""
-        return Label.OPERATOR if self.role == Label.OPERATOR else Label.SUPERVISOR
 
 
 class IndexedGrant(Struct, frozen=True):

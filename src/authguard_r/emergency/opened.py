@@ -11,10 +11,10 @@ from msgspec import Struct
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import Digest, PrincipalId, RobotId
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Principal, Verifier
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Principal, open_token
+from authguard_r.core.token import open_token
 from authguard_r.emergency.lint import lint_policy
 from authguard_r.emergency.policy import EmergencyPolicy
 from authguard_r.site.model import Site, profile_digest, site_digest

@@ -17,7 +17,7 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Count, Positive, RobotId
 from authguard_r.core.mission import DataClass
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token

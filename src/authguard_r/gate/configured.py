@@ -6,17 +6,13 @@ Spec page: docs/spec/gate-protocol.md#configuration
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from authguard_r.audit.record import NONE
 from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.gate.parts import Parts
 from authguard_r.management import Management
 from authguard_r.management.configurations import Configuration, Part
 from authguard_r.normalize.binding import binding_digest
 from authguard_r.safety import safety_digest
-
-if TYPE_CHECKING:
-    from authguard_r.gate.process import Parts
 
 
 def hold_configured(parts: Parts, management: Management) -> None:

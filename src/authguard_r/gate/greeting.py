@@ -10,7 +10,7 @@ from msgspec import UNSET, UnsetType
 
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.token import sign_object
 from authguard_r.gate.config import GateConfig
 from authguard_r.wire.messages import PROTOCOL, Hello, Proof, Welcome

@@ -23,15 +23,12 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from authguard_r.anchoring.counter import Counter
 from authguard_r.anchoring.rotation import Rotation
-from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.assembly import Gate, assemble
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource
 from authguard_r.core.reasons import Reason
-from authguard_r.emergency.opened import OpenedPolicy
 from authguard_r.gate.clocks import every
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.configured import hold_configured
@@ -39,25 +36,23 @@ from authguard_r.gate.controller import RemoteController, ShadowController
 from authguard_r.gate.inbox import Inbox
 from authguard_r.gate.journal import Journal
 from authguard_r.gate.lane.keeper import LaneKeeper
-from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.gate.lock import ANSWER_S, Lock, hold_robot, root_fingerprint
+from authguard_r.gate.parts import Parts
 from authguard_r.gate.reader import Reader
 from authguard_r.gate.recovery import Recovery
 from authguard_r.gate.roads import open_journal, open_road
 from authguard_r.gate.service import Service
 from authguard_r.gate.streams import Streams
 from authguard_r.gate.vigil import notary_policy, rotation_policy
-from authguard_r.keys.signer import FileSigner
-from authguard_r.keys.trust import Trust
 from authguard_r.normalize import Binder
-from authguard_r.normalize.binding import Binding, binding_digest
+from authguard_r.normalize.binding import binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import WATCH_MS
-from authguard_r.safety import SafetyConfig, gate_of, safety_digest
+from authguard_r.safety import gate_of, safety_digest
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import hold_policy
 from authguard_r.sim.robot import SymbolicRobot
-from authguard_r.site.model import Site, stopping_mm
+from authguard_r.site.model import stopping_mm
 from authguard_r.store.sqlite import SqliteStore, open_store
 from authguard_r.times import SIMULATED, SystemClock
 from authguard_r.wire.messages import Mode
@@ -76,53 +71,6 @@ _BACKLOG = 1_024
 CATCH_UP_MS = 10_000
 #: Connections taken at a time: those refused let go of their files before many more are taken.
 _AT_ONCE = 16
-
-
-class EmergencyParts(Struct, frozen=True, kw_only=True):
-    """The emergency policy, and where its journal is; None: beside the store."""
-
-    policy: OpenedPolicy
-    journal: Path | None = None
-
-
-class Parts(Struct, frozen=True, kw_only=True):
-    """What a gate is started with, each part read and authentic.
-
-    Args:
-        run: the run folder, for the sockets; the gate's user owns it.
-        trust: the trust root.
-        signer: the gate's own key.
-        site: the site model.
-        binding: the planner's tools.
-        safety: the second gate's configuration.
-        config: the gate's own.
-        store: the store's file.
-        lane: what the stop lane is started with; None without one: a robot in this process.
-        journal: the file descriptor of the structured log.
-        demo: a root that says `demo` will do.
-        key: the file of the gate's own key, which is held against a second gate.
-        simulated: a symbolic robot in this process, with its own time; for trying out.
-        risk: the organization's risk policy; None without one.
-        counter: kept outside of the store; None without one.
-        emergency: the emergency policy; None without one: only stops work without a mission.
-    """
-
-    run: Path
-    trust: Trust
-    signer: FileSigner
-    site: Site
-    binding: Binding
-    safety: SafetyConfig
-    config: GateConfig
-    store: Path
-    lane: LaneFiles | None
-    journal: int
-    demo: bool
-    key: Path | None = None
-    simulated: SymbolicRobot | None = None
-    risk: VerifiedPolicy | None = None
-    counter: Counter | None = None
-    emergency: EmergencyParts | None = None
 
 
 class Rendezvous(Struct, frozen=True, kw_only=True):
@@ -410,4 +358,4 @@ async def _listen(path: Path, service: Service) -> asyncio.Server:
     return server
 
 
-__all__ = ["SOCKET", "EmergencyParts", "Parts", "Rendezvous", "run_gate"]
+__all__ = ["SOCKET", "Rendezvous", "run_gate"]

@@ -17,7 +17,7 @@ from functools import partial
 from authguard_r.assembly import Gate
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.identifiers import Identifier
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.braking import Braking, brakes_of
 from authguard_r.gate.clients import Client, Ring

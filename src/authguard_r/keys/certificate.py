@@ -22,9 +22,9 @@ from msgspec import Struct
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.identifiers import Digest, PrincipalId, RegionId, RobotId, is_identifier
+from authguard_r.core.principals import Scope
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Scope
 from authguard_r.keys.algorithms import (
     PrivateKey,
     PublicKey,

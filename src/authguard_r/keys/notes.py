@@ -24,7 +24,7 @@ from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
 from authguard_r.audit.note import Note, NoteKey, NoteSignature
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import (

@@ -28,7 +28,7 @@ from authguard_r.core.identifiers import (
     RegionId,
     RobotId,
 )
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Endorsement
 from authguard_r.keys.algorithms import PRIVATE, PublicKey, algorithm_of, require_sound

@@ -83,7 +83,7 @@ def revoke(
                 where=str(folder),
             )
         return Revoked(
-            lists=_next_lists(folder, dead, now=now, days=days, passphrase=passphrase),
+            lists=sign_next_lists(folder, dead, now=now, days=days, passphrase=passphrase),
             unread=unread,
         )
 
@@ -104,23 +104,10 @@ def renew_lists(
                 reason=Reason.STORE_UNAVAILABLE,
                 where=str(folder),
             )
-        return _next_lists(folder, dead, now=now, days=days, passphrase=passphrase)
+        return sign_next_lists(folder, dead, now=now, days=days, passphrase=passphrase)
 
 
-def next_lists(
-    folder: Path, dead: dict[str, set[int]], *, now: datetime, days: int
-) -> dict[str, RevocationList]:
-    """Sign and write each named authority's next list: what it had, and these.
-
-    Raises:
-        AuthenticityError: an authority is over; nothing was written.
-        EnvironmentFault: an authority's key is not here; nothing was written.
-    """
-    with alone(folder):
-        return _next_lists(folder, dead, now=now, days=days, passphrase=None)
-
-
-def _next_lists(
+def sign_next_lists(
     folder: Path,
     dead: dict[str, set[int]],
     *,
@@ -128,6 +115,14 @@ def _next_lists(
     days: int,
     passphrase: Passphrase | None,
 ) -> dict[str, RevocationList]:
+    """Sign and write the next list of each named authority: its serials so far, and the new ones.
+
+    The caller holds the folder's lock.
+
+    Raises:
+        AuthenticityError: an authority's certificate is over; nothing was written.
+        EnvironmentFault: the folder has no key of an authority; nothing was written.
+    """
     require_lasting(folder, dead, Now(int(now.timestamp()) * 1000, 0))
     before = {known.authority: known for known in read_trust(folder).lists.values()}
     keys = {name: read_key(folder, name, passphrase) for name in dead}

@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from authguard_r.core.errors import AuthenticityError
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import PRIVATE, PrivateKey, PublicKey, require_private
 from authguard_r.keys.envelope import is_sealed, unseal

@@ -16,10 +16,9 @@ from msgspec.structs import replace
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Digest, RobotId
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed, Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Principal
 from authguard_r.keys.algorithms import require_signature
 from authguard_r.keys.certificate import Leaf, Role, read_claims, walk
 from authguard_r.keys.loading import key_of, load, load_pem

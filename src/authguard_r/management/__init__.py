@@ -21,7 +21,7 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, MissionId
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import read_token
 from authguard_r.intake import Intake

@@ -12,10 +12,11 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Digest, PrincipalId
 from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.mission import Grant, Mission
+from authguard_r.core.principals import Principal
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish, select, settle
-from authguard_r.core.token import Principal, open_token
+from authguard_r.core.token import open_token
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.issued import hold_issued, registered
 from authguard_r.ledger import Act

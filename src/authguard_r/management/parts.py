@@ -20,7 +20,7 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedErr
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.lifecycle import REFUSAL
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing

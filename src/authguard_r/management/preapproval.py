@@ -13,10 +13,11 @@ from authguard_r.core.checks.people import people_behind
 from authguard_r.core.identifiers import GrantId
 from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.mission import Grant
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.core.token import Principal, VerifiedMission
+from authguard_r.core.token import VerifiedMission
 from authguard_r.ledger import SKEW_MS, Act
 from authguard_r.management.parts import (
     Parts,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from authguard_r.core.encoding import Tag
-from authguard_r.core.ports import Verifier
+from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token
 from authguard_r.safety.config import SafetyConfig

@@ -16,7 +16,7 @@ from authguard_r.client.greeting import GateVerifier
 from authguard_r.client.link import Log, require_folder, run_all, until_told, wall_now
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.wire.frames import Frame
 
 

@@ -18,7 +18,7 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.identifiers import RegionId, RobotId
 from authguard_r.core.lease import Lease
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object

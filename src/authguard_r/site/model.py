@@ -40,7 +40,7 @@ from authguard_r.core.identifiers import (
 from authguard_r.core.mission import Sources
 from authguard_r.core.provenance import Label, allowed_of
 from authguard_r.core.reasons import Reason
-from authguard_r.site.paths import stopping_margin
+from authguard_r.site.shapes import stopping_margin
 
 Point = tuple[Integer, Integer]
 

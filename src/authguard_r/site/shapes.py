@@ -209,3 +209,16 @@ def _on(a: Point, b: Point, p: Point) -> bool:
 def _ahead(p: Point, q: Point, corner: Point) -> bool:
     """True when two collinear edges leave their common corner in the same direction."""
     return (p[0] - corner[0]) * (q[0] - corner[0]) + (p[1] - corner[1]) * (q[1] - corner[1]) > 0
+
+
+def stopping_margin(margin_mm: int, speed_mm_s: int, *, reaction_ms: int, brake_mm_s2: int) -> int:
+    """Return how far from its pose a robot may come to rest, in millimeters, rounded up.
+
+    Args:
+        margin_mm: of the pose itself.
+        speed_mm_s: the speed at which it is told to stop; its sign does not matter.
+        reaction_ms: time until the brakes act.
+        brake_mm_s2: deceleration, positive.
+    """
+    speed = abs(speed_mm_s)
+    return margin_mm - (-speed * reaction_ms // 1_000) - (-speed * speed // (2 * brake_mm_s2))

@@ -12,9 +12,9 @@ from msgspec import Struct
 from authguard_r.core.encoding import Tag, decode, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
-from authguard_r.core.ports import Signer, Verifier
+from authguard_r.core.principals import Principal, Signer, Verifier
 from authguard_r.core.quantities import Now
-from authguard_r.core.token import Principal, open_token, read_token, sign_object
+from authguard_r.core.token import open_token, read_token, sign_object
 from authguard_r.site.check import unreviewed
 from authguard_r.site.model import Site
 from authguard_r.site.source import require_sound

@@ -16,11 +16,10 @@ from authguard_r.core.encoding import Tag, digest_of, unb64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, RefusedError
 from authguard_r.core.identifiers import Digest, MissionId, Timestamp
 from authguard_r.core.mission import Mission
-from authguard_r.core.ports import Signer, Verifier
+from authguard_r.core.principals import Principal, Signer, Verifier
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import (
-    Principal,
     VerifiedMission,
     index_mission,
     open_token,

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from missionpair.planners._meter import Meter
     from missionpair.planners._reach import Reach
 
-#: How the models of our own local server are called: none is a model, and no table may say so.
-SCRIPTED = "scripted-"
 #: Options that a client looks at before it speaks to anybody.
 _OPTIONS = frozenset({"base_url", "model"})
 

@@ -18,10 +18,10 @@ from msgspec import Struct
 
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.planners._answers import read_answer
-from missionpair.planners._client import SCRIPTED, Client
+from missionpair.planners._client import Client
 from missionpair.planners._meter import Meter
 from missionpair.planners._prompt import prompt_digest, system_text, user_text
-from missionpair.planners._reach import Price, Reach
+from missionpair.planners._reach import SCRIPTED, Price, Reach
 
 _MODES = ("tools", "json")
 _MILLION = 1_000_000

@@ -16,9 +16,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from missionpair.briefing import PlannerError, Tool
-from missionpair.planners._client import SCRIPTED, Completion
+from missionpair.planners._client import Completion
 from missionpair.planners._meter import Meter
-from missionpair.planners._reach import Reach
+from missionpair.planners._reach import SCRIPTED, Reach
 from missionpair.planners._sending import library, send
 
 Body = dict[str, Any]

@@ -12,7 +12,9 @@ from urllib.parse import urlsplit
 from msgspec import Struct
 
 from missionpair.briefing import PlannerError
-from missionpair.planners._client import SCRIPTED
+
+#: The names of our own local server's programs begin so; a table never calls one a model.
+SCRIPTED = "scripted-"
 
 
 class Price(Struct, frozen=True):

@@ -18,7 +18,7 @@ from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
-from missionpair.planners._client import SCRIPTED
+from missionpair.planners._reach import SCRIPTED
 from missionpair.planners._sending import MAX_BODY
 from missionpair.servers._scripted import Answer, Asked, Behavior, behavior_of
 

@@ -19,8 +19,8 @@ from msgspec import Struct
 
 from missionpair.briefing import Tool
 from missionpair.pair import Call
-from missionpair.planners._client import SCRIPTED
 from missionpair.planners._prompt import Prompt, read_prompt
+from missionpair.planners._reach import SCRIPTED
 from missionpair.words import Channel
 
 #: What the stand-in says when it is asked for anything but a plan.

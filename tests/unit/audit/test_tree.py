@@ -18,14 +18,13 @@ from authguard_r.audit.tree import (
     Frontier,
     MemoryTree,
     consistency_proof,
-    inclusion_proof,
     leaf_hash,
     node_hash,
     root_of,
     verify_consistency,
-    verify_inclusion,
 )
 from fixtures.amount import amount
+from fixtures.inclusion import inclusion_proof, verify_inclusion
 
 MOST = 64
 LAW = settings(max_examples=amount(60, 300))

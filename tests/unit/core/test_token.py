@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.assembly import folder_signer, folder_trust
+from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import (
     MAX_BYTES,
     Tag,
@@ -28,7 +28,7 @@ from authguard_r.core.encoding import (
 )
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
 from authguard_r.core.mission import Closing, DataRights, Grant, Guard, Limit, Mission, Row
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import (
     Endorsement,
@@ -40,7 +40,7 @@ from authguard_r.core.token import (
     verify_mission,
 )
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.trust import Trust
+from authguard_r.keys.trust import Trust, read_trust
 from fixtures import scenarios
 from fixtures.amount import amount
 from fixtures.cases import case
@@ -64,7 +64,7 @@ def mission(**changes: Any) -> Mission:
 
 @cache
 def trust() -> Trust:
-    return folder_trust(scenarios.trust_folder())
+    return read_trust(scenarios.trust_folder())
 
 
 @cache

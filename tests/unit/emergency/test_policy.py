@@ -57,7 +57,7 @@ def test_one_that_does_not_count_is_refused() -> None:
 
 
 def test_a_signer_of_other_regions_or_robots_signs_nothing_here() -> None:
-    from authguard_r.core.token import Scope
+    from authguard_r.core.principals import Scope
 
     class Confined:
         """A trust root whose safety officer is confined."""

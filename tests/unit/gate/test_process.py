@@ -26,7 +26,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.token import sign_object
 from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.gate.lock import hold_robot, root_fingerprint
-from authguard_r.gate.process import SOCKET, Parts, Rendezvous, _Pace, run_gate
+from authguard_r.gate.parts import Parts
+from authguard_r.gate.process import SOCKET, Rendezvous, _Pace, run_gate
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config as default_safety
 from authguard_r.sim.robot import SymbolicRobot

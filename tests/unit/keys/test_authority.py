@@ -28,10 +28,11 @@ from authguard_r.keys.envelope import seal
 from authguard_r.keys.folder import given, survey
 from authguard_r.keys.install import open_answer
 from authguard_r.keys.request import OpenedRequest, Wanted, make_request, open_request
-from authguard_r.keys.revoking import next_lists, renew_lists, revoke
+from authguard_r.keys.revoking import renew_lists, revoke
 from authguard_r.keys.setup import init_folder, read_authority
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_certificates, read_trust
+from fixtures.revocation_lists import next_lists
 
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)
 LIFE = 100

@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.identifiers import PrincipalId, RegionId, RobotId
+from authguard_r.core.principals import Scope
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Scope
 from authguard_r.keys import loading
 from authguard_r.keys.beginning import chain_ms
 from authguard_r.keys.certificate import (

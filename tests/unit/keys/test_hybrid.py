@@ -17,7 +17,7 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
-from authguard_r.core.ports import Endorsed
+from authguard_r.core.principals import Endorsed
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, algorithm_of

@@ -39,11 +39,12 @@ from authguard_r.keys.request import (
     make_request,
     open_request,
 )
-from authguard_r.keys.revoking import next_lists, revoke
+from authguard_r.keys.revoking import revoke
 from authguard_r.keys.setup import init_folder, read_authority
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import pairs, read_certificates, read_trust
 from fixtures.cases import case
+from fixtures.revocation_lists import next_lists
 
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)
 NOW = Now(int(TODAY.timestamp()) * 1000, 0)

@@ -15,9 +15,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.identifiers import RegionId, RobotId
+from authguard_r.core.principals import Scope
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Scope
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import (
     AUTHORITIES,

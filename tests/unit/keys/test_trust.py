@@ -16,9 +16,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
+from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.token import Principal
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust, read_file, read_trust

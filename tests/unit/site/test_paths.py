@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways and stopping distances in exact integers; shapely has its say in tests/properties."""
+"""Sides of a line and stopping distances, in exact integers."""
 
 from __future__ import annotations
 
@@ -7,26 +7,8 @@ import random
 
 import pytest
 
-from authguard_r.core.geometry import Point, may_lie_in, polygon
-from authguard_r.site.paths import may_cross, stopping_margin
-from authguard_r.site.shapes import side
-
-
-def test_a_path_of_one_corner_is_a_pose() -> None:
-    area = polygon("main", 1, ((0, 0), (10, 0), (10, 10), (0, 10)))
-    for x in range(-3, 14):
-        for margin in range(3):
-            assert may_cross(area, ((x, 5),), margin) is may_lie_in(area, (x, 5), margin)
-
-
-def test_a_leg_through_two_corners_and_along_an_edge_crosses() -> None:
-    area = polygon("main", 1, ((0, 0), (10, 0), (10, 10), (0, 10)))
-    assert may_cross(area, ((-5, -5), (15, 15)), 0)
-    assert may_cross(area, ((-5, 0), (15, 0)), 0)
-    assert may_cross(area, ((2, 0), (8, 0)), 0)
-    assert not may_cross(area, ((-5, -1), (15, -1)), 0)
-    assert may_cross(area, ((-5, -1), (15, -1)), 1)
-    assert not may_cross(area, ((11, 0), (20, 0)), 0)
+from authguard_r.core.geometry import Point
+from authguard_r.site.shapes import side, stopping_margin
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,13 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from authguard_r.assembly import folder_signer, folder_trust
+from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import Site, site_digest
 from authguard_r.site.signed import (
     SignedSite,
@@ -32,9 +33,7 @@ def signed(site: Site | None = None, by: str = "site-authority-1") -> bytes:
 
 
 def read(data: bytes, now: Now = scenarios.NOW) -> SignedSite:
-    return read_signed_site(
-        data, verifier=folder_trust(scenarios.trust_folder()), now=now, where="x"
-    )
+    return read_signed_site(data, verifier=read_trust(scenarios.trust_folder()), now=now, where="x")
 
 
 def test_what_the_site_authority_signed_is_what_is_read() -> None:

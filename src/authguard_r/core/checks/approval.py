@@ -17,10 +17,10 @@ from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.finding import Finding, Findings
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Grant, RiskPolicy, Row
+from authguard_r.core.principals import Principal
 from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import Tier, required, rho, tier_of
 from authguard_r.core.standing import ApprovalRequest
-from authguard_r.core.token import Principal
 
 
 class Need(Struct, frozen=True, kw_only=True):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import prod
 
 from authguard_r.core.identifiers import PrincipalId
-from authguard_r.core.token import Principal
+from authguard_r.core.principals import Principal
 
 #: So many of these people signed.
 Signed = tuple[int, frozenset[PrincipalId]]

@@ -21,7 +21,7 @@ from authguard_r.core.errors import (
     MalformedError,
 )
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.gate.config import GateConfig, roles_of

@@ -19,7 +19,7 @@ import msgspec
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.gate.config import GateConfig
 from authguard_r.gate.lane.desk import Desk, Peer

@@ -26,7 +26,7 @@ from authguard_r.client.link import Log, require_folder, run_all, until_told, wa
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Identifier, RobotId, VariableId
-from authguard_r.core.ports import Signer
+from authguard_r.core.principals import Signer
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import Pose, Reading, Snapshot

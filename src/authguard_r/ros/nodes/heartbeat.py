@@ -9,7 +9,6 @@ Spec page: docs/spec/ros-stopping.md#heartbeats
 
 from __future__ import annotations
 
-import asyncio
 import secrets
 import time
 from collections.abc import Callable, Mapping
@@ -91,34 +90,6 @@ class Told(Struct, frozen=True, kw_only=True):
 
 
 ALL = Told()
-
-
-class LoopWatch:
-    """Says whether an asyncio loop turns; ask it again and again, from any thread.
-
-    Args:
-        loop: which.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._is_asked = False
-        self._turned_ns: int | None = None
-
-    def __call__(self) -> bool:
-        """Return whether it has turned within `TURN_MS`; not before it was asked once."""
-        if not self._is_asked:
-            self._is_asked = True
-            try:
-                self._loop.call_soon_threadsafe(self._turned)
-            except RuntimeError:  # it is closed, and nobody is asked again
-                self._turned_ns = None
-        turned_ns = self._turned_ns
-        return turned_ns is not None and time.monotonic_ns() - turned_ns < TURN_MS * MS
-
-    def _turned(self) -> None:
-        self._turned_ns = time.monotonic_ns()
-        self._is_asked = False
 
 
 class Heartbeat:
