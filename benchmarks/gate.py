@@ -14,13 +14,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic, perf_counter_ns, time_ns
 
-from authguard_r.assembly import assemble, folder_signer, gate_name
+from authguard_r.assembly import assemble
 from authguard_r.client import GateClient
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.standing import Outcome
 from authguard_r.gate.config import default_config as gate_defaults
 from authguard_r.gate.process import DELAY_MS
 from authguard_r.gate.proposals import Keeper, Kept
+from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, normalize
 from authguard_r.normalize.context import ContextLedger

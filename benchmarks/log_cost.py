@@ -17,7 +17,6 @@ import apsw
 
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, Checkpoints
 from authguard_r.anchoring.witnesses import cosignature, exchange, request
-from authguard_r.assembly import folder_signer, gate_name
 from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import NoteKey, read_key
@@ -27,6 +26,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.notes import leaf_key, log_key
 from authguard_r.keys.readers import new_reader
+from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import normalize
 from authguard_r.normalize.context import ContextLedger

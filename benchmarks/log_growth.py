@@ -24,13 +24,13 @@ from typing import Any, NamedTuple
 import msgspec
 
 from authguard_r.anchoring.notary import Notary
-from authguard_r.assembly import folder_signer, gate_name
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
 from authguard_r.audit.pieces import usable_jobs, verify_in_pieces
 from authguard_r.audit.record import Entry
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.audit.verify import Anchor, Row, of_checkpoint, verify_rows
 from authguard_r.core.standing import Outcome, Spend
+from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.ledger import Act
 from authguard_r.report import decision_entry, outcome_entry
 from authguard_r.sealing import Reader, SealingPolicy

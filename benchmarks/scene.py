@@ -19,7 +19,7 @@ import msgspec
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT / "tests"))
 
-from authguard_r.assembly import Gate, assemble, folder_signer, gate_name  # noqa: E402
+from authguard_r.assembly import Gate, assemble  # noqa: E402
 from authguard_r.core.action import Action, ActionMeta  # noqa: E402
 from authguard_r.core.decide import decide  # noqa: E402
 from authguard_r.core.decision import Decision  # noqa: E402
@@ -33,6 +33,7 @@ from authguard_r.core.quantities import Now, to_timestamp  # noqa: E402
 from authguard_r.core.standing import Outcome, Spend, Standing, Use  # noqa: E402
 from authguard_r.core.state import AttestedState  # noqa: E402
 from authguard_r.core.token import VerifiedMission, sign_object  # noqa: E402
+from authguard_r.keys.signer import folder_signer, gate_name  # noqa: E402
 from authguard_r.keys.trust import read_trust  # noqa: E402
 from authguard_r.normalize import Binder, Step, normalize  # noqa: E402
 from authguard_r.normalize.context import ContextLedger  # noqa: E402

@@ -22,7 +22,6 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from time import perf_counter_ns, time_ns
 
-from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.token import sign_object
@@ -30,7 +29,8 @@ from authguard_r.gate.config import Peer, default_config
 from authguard_r.gate.lane.link import start_lane
 from authguard_r.gate.lane.place import SOCKET
 from authguard_r.gate.lane.run import LaneFiles
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.source import read_site
 from authguard_r.wire.frames import FrameReader, frame

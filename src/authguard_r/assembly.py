@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from hashlib import sha256
-from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
@@ -20,19 +19,16 @@ from authguard_r.anchoring.anchor import Anchor, Reading, read_counter
 from authguard_r.anchoring.counter import Counter
 from authguard_r.anchoring.notary import Notary, NotaryPolicy
 from authguard_r.audit.record import Terminal, read_record
-from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import (
-    ControllerError,
     EnvironmentFault,
     MalformedError,
     StoreError,
 )
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Digest, Identifier, RobotId
-from authguard_r.core.lease import Lease
+from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.mission import RiskPolicy
-from authguard_r.core.ports import Clock, Controller, Flight, SafetyGate, StateSource, Store
+from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource, Store
 from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
@@ -40,27 +36,15 @@ from authguard_r.core.token import sign_object
 from authguard_r.enforcement import Enforcer
 from authguard_r.intake import Intake
 from authguard_r.keys.beginning import boot_ms, chain_ms
-from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member
-from authguard_r.keys.signer import FileSigner, read_signer
-from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.keys.trust import Trust
 from authguard_r.ledger import Ledger, last_commit_ms
 from authguard_r.management import Management
 from authguard_r.management.lists import Lists
-from authguard_r.normalize import Binder
-from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.running import STAND_WITHIN_MS, Watch, quietly
-from authguard_r.safety import SafetyConfig, default_config, gate_of, safety_digest
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.sealer import sealer_of
-from authguard_r.sim.robot import Faults, SymbolicRobot
-from authguard_r.sim.state import WorldState
-from authguard_r.sim.world import initial_state
-from authguard_r.site.model import Site, facts_of, profile_digest
-from authguard_r.store.memory import MemoryStore
-from authguard_r.store.sqlite import open_store
-from authguard_r.times import SIMULATED, last_epoch, store_clock
+from authguard_r.site.model import Site, facts_of
 
 
 class Gate(Struct, frozen=True, kw_only=True):
@@ -287,178 +271,3 @@ def sign_terminal(gate: Gate, signer: Signer) -> bytes:
     log, time_ms = gate.facts.robot.rid, gate.ledger.now().utc_ms
     terminal = Terminal(log=log, size=size, head=Digest(b64(head)), time_ms=time_ms)
     return sign_object(terminal, Tag.CHECKPOINT, signer)
-
-
-class Simulation(Struct, frozen=True, kw_only=True):
-    """A whole gate on the symbolic robot, with its own simulated time.
-
-    Args:
-        gate: the gate.
-        robot: the robot: controller, estimator and clock in one.
-        binder: turns planner calls into actions.
-        signer: the gate's own key, for terminal digests.
-        store: the store's file, None when it is in memory.
-    """
-
-    gate: Gate
-    robot: SymbolicRobot
-    binder: Binder
-    signer: Signer
-    store: Path | None
-
-
-def simulate(
-    folder: Path,
-    site: Site,
-    binding: Binding,
-    *,
-    rid: RobotId,
-    start_ms: int,
-    store: Path | None,
-    state: WorldState | None = None,
-    faults: Faults | None = None,
-    safety: SafetyConfig | None = None,
-    counter: Counter | None = None,
-) -> Simulation:
-    """Return a gate over the symbolic robot, with keys from a one-folder demo set-up.
-
-    Args:
-        folder: written by `authguard keys init`.
-        site: the site.
-        binding: the planner's tools.
-        rid: the robot.
-        start_ms: simulated wall clock at the start.
-        store: the store's file; None keeps registry and log in memory.
-        state: the world at the start; None puts everything at home.
-        faults: what goes wrong in the world.
-        safety: authentic safety configuration; None takes the profile's own envelope.
-        counter: kept outside of the store; None keeps none.
-
-    Raises:
-        AuthGuardError: a part is missing, not authentic or not usable.
-    """
-    trust = read_trust(folder)
-    robot = SymbolicRobot(
-        site,
-        rid,
-        state or initial_state(site, site.robots[rid].home),
-        estimator=folder_signer(folder, f"estimator-{rid}"),
-        start_ms=start_ms,
-        faults=faults or Faults(),
-        epoch=1 if store is None else max(start_ms, last_epoch(store) + 1),
-    )
-    signer = folder_signer(folder, gate_name(rid))
-    config = safety or default_config(site, rid)
-    gate = assemble(
-        trust=trust,
-        chain=signer.chain,
-        site=site,
-        safety=gate_of(config),
-        controller=robot,
-        source=robot,
-        clock=robot,
-        store=MemoryStore() if store is None else open_store(store),
-        genesis={
-            "binding": binding_digest(binding),
-            "safety": safety_digest(config),
-            "clock": SIMULATED,
-        },
-        sealed={"safety": config},
-        demo=True,
-        counter=counter,
-        signer=signer,
-    )
-    binder = Binder(site, binding)
-    return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
-
-
-class _NoRobot:
-    """Stands where a gate without a robot has its controller and estimator: nothing moves."""
-
-    def latest(self) -> bytes | None:
-        """Return nothing: no state is attested."""
-        return None
-
-    def fence(self, number: int) -> None:
-        """Do nothing: nothing is measured."""
-
-    def dispatch(self, action: Action, lease: Lease) -> Flight:  # noqa: ARG002
-        """Refuse: there is no robot here.
-
-        Raises:
-            ControllerError: always.
-        """
-        raise ControllerError("no robot is connected")
-
-    def stop(self) -> None:
-        """Do nothing: nothing moves."""
-
-
-def offline_gate(
-    folder: Path, site: Site, *, rid: RobotId, store: Path, counter: Counter | None = None
-) -> Gate:
-    """Return a gate without a robot, for management acts on a store that nobody holds.
-
-    Args:
-        folder: written by `authguard keys init`.
-        site: the site.
-        rid: the robot.
-        store: the store's file.
-        counter: the store's own, kept outside of it.
-
-    Raises:
-        AuthGuardError: a part is missing, not authentic, or the store is in use.
-    """
-    nothing, signer = _NoRobot(), folder_signer(folder, gate_name(rid))
-    return assemble(
-        trust=read_trust(folder),
-        chain=signer.chain,
-        site=site,
-        safety=gate_of(default_config(site, rid)),
-        controller=nothing,
-        source=nothing,
-        clock=store_clock(store),
-        store=open_store(store),
-        genesis={"clock": SIMULATED},  # only a demo folder gets here, and its robot is symbolic
-        demo=True,
-        counter=counter,
-        signer=signer,
-    )
-
-
-def demo_members(site: Site, rids: tuple[RobotId, ...]) -> tuple[Member, ...]:
-    """Return who gets a key in a one-folder set-up: people, and the machines of each robot."""
-    people = (
-        Member(id="operator-1", role=Role.OPERATOR, robots=None, regions=None),
-        Member(id="supervisor-1", role=Role.SUPERVISOR, robots=None, regions=None),
-        Member(id="supervisor-2", role=Role.SUPERVISOR, robots=None, regions=None),
-        Member(id="safety-officer-1", role=Role.SAFETY_OFFICER, robots=None, regions=None),
-        Member(id="site-authority-1", role=Role.SITE_AUTHORITY),
-        Member(id="witness-1", role=Role.WITNESS),
-    )
-    machines: list[Member] = []
-    for rid in rids:
-        profile = profile_digest(site.robots[rid].profile)
-        machines += [
-            Member(id=gate_name(rid), role=Role.GATE, robots=(rid,), profile=profile),
-            Member(id=f"estimator-{rid}", role=Role.ESTIMATOR, robots=(rid,)),
-        ]
-    return (*people, *machines)
-
-
-def folder_signer(folder: Path, name: str) -> FileSigner:
-    """Return the signer that a one-folder set-up holds for a principal.
-
-    Raises:
-        EnvironmentFault: the folder has no such key.
-    """
-    key = folder / "keys" / f"{name}.key.pem"
-    if not key.is_file():
-        text = f"`{folder}` holds no key of `{name}`"
-        raise EnvironmentFault(text, reason=Reason.STORE_UNAVAILABLE, where=str(key))
-    return read_signer(key, folder / "keys" / f"{name}.cert.pem")
-
-
-def gate_name(rid: RobotId) -> str:
-    """Return the name under which a one-folder set-up keeps a robot's gate."""
-    return f"gate-{rid}"

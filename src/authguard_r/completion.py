@@ -23,8 +23,7 @@ from authguard_r.core.token import VerifiedMission
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.labels import label_fields
-from authguard_r.questions import counted
-from authguard_r.report import Judged, Report, decision_entry
+from authguard_r.report import Judged, Report, counted, decision_entry
 from authguard_r.running import require_judged
 from authguard_r.safety.repair import is_narrower
 

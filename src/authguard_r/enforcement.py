@@ -23,6 +23,7 @@ from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, ControllerError, RefusedError
 from authguard_r.core.facts import SiteFacts
+from authguard_r.core.finding import fault_finding
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.lease import permit
 from authguard_r.core.lifecycle import Event
@@ -38,13 +39,12 @@ from authguard_r.ledger import Act, Ledger
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger, Influence
 from authguard_r.normalize.labels import label_fields
-from authguard_r.questions import record_decision
 from authguard_r.report import (
     Judged,
     Refusal,
     Report,
-    fault_finding,
     open_question,
+    record_decision,
     refused_proposal,
 )
 from authguard_r.running import (

@@ -14,8 +14,7 @@ from typing import Any
 
 from msgspec import Struct, convert, structs
 
-from authguard_r.approvals import approver_json
-from authguard_r.audit.record import Entry, Record, Sealed, read_record, read_sealed
+from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
@@ -30,7 +29,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import ApprovalRequest, Standing
 from authguard_r.core.token import VerifiedMission
 from authguard_r.ledger import Act
-from authguard_r.report import Judged
 
 _HELD = "question"
 #: Stands for what was asked and cannot be told any more: it names no place.
@@ -194,37 +192,9 @@ def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
     return str(found[0] if found else Reason.ISSUER_MISMATCH)
 
 
-def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
-    """Return who stands behind a decision: name, role and kind of each answer that counted."""
-    standing, match = judged.standing, judged.decision.match
-    request = None if standing is None or match is None else _request(standing, match.indexed.grant)
-    if request is None or standing is None or match is None:
-        return []
-    asked = Asked(
-        verified=judged.verified,
-        grant=match.indexed.grant,
-        request=request,
-        action=judged.action,
-        standing=standing,
-        facts=facts,
-    )
-    need = judged.decision.need
-    if need is None or (need.scope, need.situation) != (request.scope, request.situation):
-        return []  # another question is open: nobody was counted
-    return [
-        {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
-        for item in judged.answers
-        if fits(asked, item, judged.now)
-    ]
-
-
-def record_decision(act: Act, judged: Judged, entry: Entry) -> int:
-    """Record a decision that changed something; of a new request the number is held with it."""
-    seq = act.record(entry)
-    if judged.request is not None:
-        key = _key(judged.verified.mission.mid, judged.request.counter)
-        act.put(_HELD, key, str(seq).encode("ascii"))
-    return seq
+def note_request(act: Act, mid: MissionId, counter: int, seq: int) -> None:
+    """Note the number of the record in which a request was opened."""
+    act.put(_HELD, _key(mid, counter), str(seq).encode("ascii"))
 
 
 def record_of(act: Act, mid: MissionId, counter: int) -> int | None:
@@ -242,10 +212,6 @@ def is_denied(asked: Asked, items: tuple[VerifiedApproval, ...], now: Now) -> bo
 
 def _key(mid: MissionId, counter: int) -> str:
     return f"{mid}:{counter}"
-
-
-def _request(standing: Standing, grant: Grant) -> ApprovalRequest | None:
-    return standing.requests.get(grant.id)
 
 
 def _named(verified: VerifiedMission) -> tuple[int, str]:

@@ -14,13 +14,15 @@ from typing import Any
 import msgspec
 from msgspec import Raw, Struct
 
+from authguard_r.approvals import approver_json
 from authguard_r.audit.deviation import Weights, deviation
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.finding import Finding, Findings
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.finding import Findings
 from authguard_r.core.identifiers import Digest, Identifier, MissionId
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import RiskPolicy
@@ -30,7 +32,9 @@ from authguard_r.core.safety import Hazard, SafetyDecision
 from authguard_r.core.standing import ApprovalRequest, Outcome, Spend, Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
+from authguard_r.ledger import Act
 from authguard_r.normalize.context import Influence
+from authguard_r.questions import Asked, fits, note_request
 
 #: What the log says of the second gate when the first refused.
 NOT_EVALUATED = "not evaluated"
@@ -341,11 +345,6 @@ def alert_entry(what: str, mid: MissionId, now: Now) -> Entry:
     return Entry(kind="alert", time_ms=now.utc_ms, decision="alert", mid=mid, open={"what": what})
 
 
-def fault_finding(error: AuthGuardError) -> Finding:
-    """Return an exception as the finding that ends a lease."""
-    return Finding(error.where or "gate", error.reason, "a working part", error.message)
-
-
 def _safety_summary(safety: SafetyDecision | None) -> Any:
     if safety is None:
         return NOT_EVALUATED
@@ -368,3 +367,37 @@ def average_deviation(actions: Collection[tuple[Reason, ...]], weights: Weights)
     """Return the average that experiments report beside D_M(P)."""
     each = [deviation(reasons, weights) for reasons in actions]
     return sum(each, Fraction(0)) / max(len(each), 1)
+
+
+def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
+    """Return who stands behind a decision: name, role and kind of each answer that counted."""
+    standing, match = judged.standing, judged.decision.match
+    request = (
+        None if standing is None or match is None else standing.requests.get(match.indexed.grant.id)
+    )
+    if request is None or standing is None or match is None:
+        return []
+    asked = Asked(
+        verified=judged.verified,
+        grant=match.indexed.grant,
+        request=request,
+        action=judged.action,
+        standing=standing,
+        facts=facts,
+    )
+    need = judged.decision.need
+    if need is None or (need.scope, need.situation) != (request.scope, request.situation):
+        return []  # another question is open: nobody was counted
+    return [
+        {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
+        for item in judged.answers
+        if fits(asked, item, judged.now)
+    ]
+
+
+def record_decision(act: Act, judged: Judged, entry: Entry) -> int:
+    """Record a decision that changed something; of a new request the number is held with it."""
+    seq = act.record(entry)
+    if judged.request is not None:
+        note_request(act, judged.verified.mission.mid, judged.request.counter, seq)
+    return seq

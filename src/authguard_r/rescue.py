@@ -16,7 +16,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, ControllerError, RefusedError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.finding import Finding, Findings, in_paper_order
+from authguard_r.core.finding import Finding, Findings, fault_finding, in_paper_order
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.lease import Lease
 from authguard_r.core.ports import Flight, SafetyGate
@@ -38,7 +38,7 @@ from authguard_r.emergency.opened import OpenedPolicy, require_signer
 from authguard_r.emergency.policy import Caller, Capability, Missing
 from authguard_r.intake import Intake
 from authguard_r.ledger import Ledger
-from authguard_r.report import behind_of, fault_finding, lacks_state
+from authguard_r.report import behind_of, lacks_state
 from authguard_r.rescue_log import ACCEPT, RescueLog, Step, refused_call
 from authguard_r.running import Course, Watch, quietly
 

@@ -18,7 +18,7 @@ from msgspec import Struct
 from authguard_r.core.action import Action
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.finding import Finding, Findings
+from authguard_r.core.finding import Finding, Findings, fault_finding
 from authguard_r.core.lease import Lease, still
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.mission import Mission
@@ -27,7 +27,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish, settle
 from authguard_r.intake import Intake
 from authguard_r.ledger import Act, Ledger
-from authguard_r.report import Judged, Report, fault_finding, outcome_entry
+from authguard_r.report import Judged, Report, outcome_entry
 from authguard_r.safety.kept import settle_memory
 
 T = TypeVar("T")

@@ -7,7 +7,6 @@ One spelling for the command line and for the answers of a gate. Spec page: docs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import Any
 
 import msgspec
@@ -19,6 +18,7 @@ from authguard_r.core.finding import Finding
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import VerifiedMission
+from authguard_r.gate.config import Disclosure
 from authguard_r.report import (
     EQUAL,
     NOT_EVALUATED,
@@ -168,18 +168,6 @@ _TOLD = (
     "seq",
     "repairs",
 )
-
-
-class Disclosure(StrEnum):
-    """How much of a refusal the planner is told.
-
-    `codes`: reasons only. `fields`: the field of each finding too, not what was expected there.
-    `full`: everything that the operator sees, but for the smallest change.
-    """
-
-    CODES = "codes"
-    FIELDS = "fields"
-    FULL = "full"
 
 
 def disclosed(report: dict[str, Any], level: Disclosure) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from typing import Any
 import msgspec
 
 from authguard_r.approvals import Selection, answer
-from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
 from authguard_r.audit.deviation import Weights
 from authguard_r.commands import Command, Verb
 from authguard_r.compile.build import compile_draft
@@ -27,13 +26,15 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.token import sign_object
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.ledger import Act
 from authguard_r.normalize import normalize
 from authguard_r.normalize.bind import site_spellings
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import Names
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.report import Report
 from authguard_r.safety import EnvelopeGate, SafetyConfig
 from authguard_r.sim.example import bundled_hospital

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from authguard_r.assembly import folder_signer, sign_terminal
+from authguard_r.assembly import sign_terminal
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.commands import Verb
@@ -23,6 +23,7 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token, sign_object, verify_mission
 from authguard_r.intake import ISSUER_ROLES
+from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.memory import MemoryStore
 from missionpair import suite

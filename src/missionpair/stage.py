@@ -23,7 +23,6 @@ from typing import Any, Self, TypeVar
 
 import msgspec
 
-from authguard_r.assembly import Simulation, demo_members
 from authguard_r.audit.deviation import Weights
 from authguard_r.commands import Verb
 from authguard_r.core.action import Action
@@ -37,10 +36,11 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.normalize import Plan, normalize
 from authguard_r.normalize.binding import load_binding
 from authguard_r.normalize.context import ContextLedger
+from authguard_r.operations.simulation import Simulation
 from authguard_r.safety import SafetyConfig
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state, taken

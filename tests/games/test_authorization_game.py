@@ -17,7 +17,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import Selection
-from authguard_r.assembly import Simulation
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Approval, Verdict
@@ -32,6 +31,7 @@ from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.operations.simulation import Simulation
 from fixtures import approvals, scenarios, templates
 from fixtures.amount import amount
 from fixtures.decision_cases import accepted_case, agree_accepts, broken_case

@@ -30,10 +30,10 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.gate import proposals as proposals_module
+from authguard_r.gate.config import Disclosure
 from authguard_r.gate.proposals import Keeper, Kept, Proposals
 from authguard_r.ledger import Act, Ledger
 from authguard_r.report import Report
-from authguard_r.shapes import Disclosure
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.restarting_gate import Station, copied, go, signer, way

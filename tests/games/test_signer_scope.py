@@ -17,7 +17,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import Selection
-from authguard_r.assembly import Simulation, folder_signer, simulate
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Verdict
@@ -29,6 +28,8 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, add_member, init_folder
+from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.simulation import Simulation, simulate
 from fixtures import scenarios, templates
 from missionpair.bench import Bench, Scene, approve, propose
 from missionpair.suite import restricted

@@ -19,8 +19,8 @@ import pytest
 from msgspec import Struct
 
 from authguard_r.anchoring.notary import NotaryPolicy
-from authguard_r.assembly import Simulation
 from authguard_r.core.reasons import Reason
+from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.gate_process import until

@@ -14,7 +14,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast
@@ -24,6 +23,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Endorsement, Token, read_token, sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.setup import Member, add_member
+from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.simulation import Simulation
 from authguard_r.templates import KeptTemplate
 from fixtures import scenarios, templates
 from fixtures.templates import SET, edited, instance, signed, token, withdrawal

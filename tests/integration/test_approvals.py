@@ -14,7 +14,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import answer
-from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import read_record
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Approval, Verdict
@@ -27,7 +26,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.intake import _MOST_ANSWERS
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.signer import open_key_file
+from authguard_r.keys.signer import folder_signer, open_key_file
 from authguard_r.normalize import normalize
 from fixtures import approvals, scenarios, templates
 from missionpair.bench import Bench, Scene, calls, make_bench, world

@@ -15,7 +15,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals.organization import OrganizationPolicy
-from authguard_r.assembly import folder_signer
 from authguard_r.cli import call
 from authguard_r.client import AsyncGateClient, GateClient
 from authguard_r.client.questions import shown
@@ -24,6 +23,7 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole
 from authguard_r.wire.questions import Question
 from fixtures import approvals, scenarios

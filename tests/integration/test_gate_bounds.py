@@ -26,7 +26,6 @@ from typing import Any, Self
 import msgspec
 import pytest
 
-from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.client import GateClient
 from authguard_r.client.controller import SAMPLE_MS
 from authguard_r.commands import Verb
@@ -39,7 +38,8 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.gate.service import LOOK_S
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.running import WATCH_MS
 from authguard_r.sim.sensors import LOOK_MS
 from authguard_r.sim.sight import MARGIN_MM

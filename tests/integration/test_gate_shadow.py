@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import demo_members
 from authguard_r.core.errors import RefusedError
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate

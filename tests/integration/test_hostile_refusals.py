@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import pytest
 
-from authguard_r.assembly import simulate
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import normalize
+from authguard_r.operations.simulation import simulate
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 

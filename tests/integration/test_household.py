@@ -23,7 +23,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import answer
-from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
 from authguard_r.compile.answers import compile_plain
 from authguard_r.core.approval import Verdict as Answer
 from authguard_r.core.decision import Verdict
@@ -35,11 +34,13 @@ from authguard_r.core.token import sign_object
 from authguard_r.drafting.profile import read_profile
 from authguard_r.drafting.proposal import Proposal, Question
 from authguard_r.drafting.template import TemplateProposer
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.shipped import binding_source
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.report import Report
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site

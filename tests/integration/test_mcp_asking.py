@@ -18,8 +18,8 @@ import mcp_types as types
 import pytest
 from mcp import Client, StdioServerParameters, stdio_client
 
-from authguard_r.assembly import folder_signer
 from authguard_r.core.approval import Verdict
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.mcp import asking as gateway_asking
 from authguard_r.mcp.process import Gateway, Setup

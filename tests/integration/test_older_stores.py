@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import folder_signer, simulate
 from authguard_r.audit.record import read_record
 from authguard_r.cli import call
 from authguard_r.commands import Command, Verb
@@ -26,6 +25,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import sign_object
 from authguard_r.gate.config import GateConfig, Peer, default_config
+from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.simulation import simulate
 from authguard_r.site.source import convert
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import ClientRole, Mode

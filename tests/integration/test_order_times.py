@@ -17,7 +17,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import Selection
-from authguard_r.assembly import folder_signer
 from authguard_r.cli import call
 from authguard_r.client import GateClient
 from authguard_r.commands import Verb
@@ -25,6 +24,7 @@ from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.safety import default_config as default_safety
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies, scenarios

@@ -22,13 +22,13 @@ from typing import Any, NamedTuple
 import apsw
 
 from authguard_r.anchoring.checkpoints import Checkpoints
-from authguard_r.assembly import folder_signer
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import Note
 from authguard_r.audit.record import Entry
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
 from authguard_r.core.standing import Outcome, Spend, Standing, Use, reserve, settle
+from authguard_r.keys.signer import folder_signer
 from authguard_r.ledger import Act, High, Ledger
 from authguard_r.store.sqlite import SqliteStore, open_store
 from fixtures import scenarios

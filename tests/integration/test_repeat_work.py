@@ -18,7 +18,6 @@ import pytest
 
 import authguard_reference as oracle
 import authguard_reference.templates as oracle_templates
-from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.prompts import Prompts, activated, count_prompts
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
@@ -28,7 +27,9 @@ from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import read_token, sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.ledger import Act
+from authguard_r.operations.simulation import Simulation
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.sqlite import read_held, read_rows
 from authguard_r.templates import combinations, expand

@@ -20,7 +20,6 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.approvals.organization import OrganizationPolicy
-from authguard_r.assembly import Simulation, demo_members, folder_signer, simulate
 from authguard_r.audit.record import (
     Entry,
     Record,
@@ -41,8 +40,10 @@ from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.site.model import Emergency, site_digest
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows

@@ -19,7 +19,7 @@ import pytest
 
 from authguard_r import safety
 from authguard_r.approvals import Selection, open_approval, open_selection
-from authguard_r.assembly import Simulation, demo_members, folder_signer, sign_terminal, simulate
+from authguard_r.assembly import sign_terminal
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.client.greeting import Greeting, require_welcome
@@ -36,9 +36,10 @@ from authguard_r.gate.config import Peer, default_config, open_gate_config
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.algorithms import Algorithm, algorithm_of
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, init_folder
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.setup import Member, demo_members, init_folder
+from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.signed import read_signed_site, sign_site
 from authguard_r.templates import open_template

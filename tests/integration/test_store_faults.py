@@ -25,7 +25,6 @@ import apsw
 import pytest
 
 from authguard_r import assembly, times
-from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
@@ -37,7 +36,9 @@ from authguard_r.core.ports import Flight, Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, advance
 from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.ledger import SKEW_MS, Ledger
+from authguard_r.operations.simulation import Simulation
 from authguard_r.report import stop_entry
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore

@@ -205,7 +205,7 @@ def test_two_groups_that_share_members_count_each_person_once(
     bench: Any, board: Any, mixed: Any, needed: int, expected: list[str]
 ) -> None:
     """The issuer, three of the board, who may be the other group's too, and a supervisor."""
-    from authguard_r.assembly import folder_signer
+    from authguard_r.keys.signer import folder_signer
 
     scene = scene_of(bench, needed=needed)
     approval = asked(scene)

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import Simulation
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -17,6 +16,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.ledger import Act
+from authguard_r.operations.simulation import Simulation
 from fixtures import scenarios
 
 GO = scenarios.navigate("dock", "pharmacy")

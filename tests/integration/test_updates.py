@@ -19,7 +19,7 @@ from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.compile.card import compare
-from authguard_r.compile.lint import Code, errors, lint
+from authguard_r.compile.lint import LintCode, errors, lint
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest_of, encode_fast
 from authguard_r.core.errors import AuthGuardError, StoreError
@@ -129,7 +129,7 @@ def reasons(report: Any) -> list[str]:
 
 def test_the_unguarded_return_is_found_before_it_is_signed_and_the_guarded_one_is_not() -> None:
     first = homeward()
-    assert errors(lint(first, scenarios.site())) == (Code.UNGUARDED_RETURN,)
+    assert errors(lint(first, scenarios.site())) == (LintCode.UNGUARDED_RETURN,)
     second = guarded(first)
     assert errors(lint(second, scenarios.site())) == ()
     changes = compare(first, second, scenarios.site())

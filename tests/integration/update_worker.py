@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from authguard_r.assembly import simulate
 from authguard_r.ledger import Act
+from authguard_r.operations.simulation import simulate
 from fixtures import scenarios
 
 DEAD = 9

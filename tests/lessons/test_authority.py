@@ -24,11 +24,12 @@ from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, encode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.token import read_token, sign_object
+from authguard_r.gate.config import Disclosure
 from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import Trust
-from authguard_r.shapes import Disclosure, told_json
+from authguard_r.shapes import told_json
 from fixtures import approvals, scenarios
 from fixtures.cases import case
 from fixtures.restarting_gate import Station, go, signer, trust

@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import Simulation
 from authguard_r.audit.record import Record, read_record
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.cli import call
 from authguard_r.cli.exported import note_line, row_line
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
 from authguard_r.normalize import normalize
+from authguard_r.operations.simulation import Simulation
 from authguard_r.safety.envelope import EnvelopeGate
 from authguard_r.sim.robot import Faults
 from authguard_r.store.sqlite import open_store, read_rows

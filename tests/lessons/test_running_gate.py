@@ -19,7 +19,6 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client import GateClient
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
@@ -29,6 +28,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement import Enforcer
 from authguard_r.gate.config import Peer
+from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.messages import MAY, Attest, ClientRole, Kind, Propose
 from fixtures import scenarios

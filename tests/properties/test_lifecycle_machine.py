@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 import authguard_reference as oracle
-from authguard_r.assembly import folder_signer
 from authguard_r.commands import Verb
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Approval, Verdict
@@ -33,6 +32,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
 from authguard_r.issued import registered
 from authguard_r.keys.setup import read_authority, write_revocations
+from authguard_r.keys.signer import folder_signer
 from authguard_r.ledger import Act
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger

@@ -35,7 +35,6 @@ from hypothesis.stateful import (
 
 import authguard_reference as oracle
 from authguard_r.approvals import Selection
-from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, digest_of, encode
@@ -44,7 +43,8 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.token import sign_object
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.context import CHANNELS, ContextLedger
 from authguard_r.sim.robot import snapshot_of

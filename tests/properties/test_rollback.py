@@ -15,10 +15,10 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 from hypothesis.strategies import sampled_from
 
 from authguard_r.anchoring.anchor import Anchor, read_counter
-from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import Entry
 from authguard_r.core.errors import EnvironmentFault, RefusedError
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.ledger import Act, Ledger
 from authguard_r.store.memory import MemoryStore

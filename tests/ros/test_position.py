@@ -33,7 +33,6 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client.attesting import since
 from authguard_r.client.link import Log
 from authguard_r.commands import Verb
@@ -43,6 +42,7 @@ from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.envelope import seal
+from authguard_r.keys.signer import folder_signer
 from authguard_r.ros.map import parse_map
 from authguard_r.ros.nodes import estimator
 from authguard_r.ros.nodes.estimator import Estimate

@@ -9,11 +9,13 @@ from datetime import UTC, datetime
 
 import pytest
 
-from authguard_r.assembly import assemble, demo_members, folder_signer, offline_gate
+from authguard_r.assembly import assemble
 from authguard_r.core.errors import AuthGuardError, ControllerError, StoreError
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.ledger import Ledger
+from authguard_r.operations.offline import offline_gate
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store

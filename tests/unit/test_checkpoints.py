@@ -20,7 +20,6 @@ from authguard_r.anchoring.checkpoints import (
 )
 from authguard_r.anchoring.notary import NotaryPolicy
 from authguard_r.anchoring.outside import Why
-from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.checkpoint import Checkpoint, read_checkpoint
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Entry
@@ -36,6 +35,8 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import require_all
+from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.inclusion import inclusion_proof, verify_inclusion

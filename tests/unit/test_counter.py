@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from authguard_r.anchoring.counter import MAX_BYTES, Counted, FileCounter, open_note, seal
-from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from fixtures import scenarios
 

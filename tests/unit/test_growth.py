@@ -11,11 +11,12 @@ import pytest
 from authguard_r.anchoring import growth
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.growth import COUNTED, KIND, PAGE, Counted, Growth, mission_of
-from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.record import NONE, Entry, append
 from authguard_r.core.errors import StoreError
 from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
+from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 

@@ -13,7 +13,6 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.approvals import answer
-from authguard_r.assembly import demo_members, folder_signer, simulate
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import (
@@ -27,9 +26,11 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import Trust, read_certificates, read_trust
 from authguard_r.ledger import Ledger
+from authguard_r.operations.simulation import simulate
 from authguard_r.store.sqlite import open_store, read_held
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios

@@ -17,7 +17,6 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import Selection
-from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
@@ -26,7 +25,8 @@ from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import Member, add_member, init_folder
+from authguard_r.keys.setup import Member, add_member, demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios, templates

@@ -15,7 +15,6 @@ from authguard_r.approvals.organization import (
     open_policy,
     policy_digest,
 )
-from authguard_r.assembly import folder_signer
 from authguard_r.client.questions import read_questions, shown, signed_answer, the_one
 from authguard_r.compile.request import action_line, brief, card
 from authguard_r.core.approval import Verdict
@@ -26,6 +25,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.token import sign_object
 from authguard_r.gate.questions import OpenQuestions
 from authguard_r.keys.certificate import Role
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.store.sqlite import Row
 from authguard_r.wire.messages import Act

@@ -11,7 +11,6 @@ import pytest
 from authguard_r.anchoring.anchor import Told
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, WITNESSED, Checkpoints
 from authguard_r.anchoring.rotation import AGAIN_MS, BLOCK, STUCK, Rotation, RotationPolicy
-from authguard_r.assembly import Simulation, folder_signer
 from authguard_r.audit.checkpoint import Checkpoint
 from authguard_r.audit.note import Note, read_note
 from authguard_r.audit.tree import verify_consistency
@@ -19,6 +18,8 @@ from authguard_r.audit.verify import verify_rows
 from authguard_r.core.errors import StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import require_all
+from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.simulation import Simulation
 from authguard_r.store.folder import Folder
 from authguard_r.store.segments import find
 from authguard_r.store.sqlite import SqliteStore, read_rows

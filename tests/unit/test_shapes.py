@@ -8,8 +8,9 @@ import pytest
 
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
+from authguard_r.gate.config import Disclosure
 from authguard_r.report import Refusal, Report
-from authguard_r.shapes import Disclosure, disclosed, report_json
+from authguard_r.shapes import disclosed, report_json
 from authguard_r.sim.robot import Faults
 from fixtures import scenarios
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.keys.beginning import began_ms, boot_ms, chain_ms, token_ms
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.store.sqlite import open_store
 from authguard_r.times import SystemClock, committed_ms, last_epoch, store_clock

@@ -38,7 +38,6 @@ from authguard_r.anchoring.witnesses import (
     exchange,
     request,
 )
-from authguard_r.assembly import Simulation
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import Note, NoteSignature, encode64, read_note, signature_lines
 from authguard_r.commands import Command, StoreClaim, Verb
@@ -48,6 +47,7 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.keys.notes import cosign, verify_note
+from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.cases import case

@@ -27,7 +27,7 @@ from authguard_r.core.errors import (
     RefusedError,
     StoreError,
 )
-from authguard_r.core.finding import Findings
+from authguard_r.core.finding import Findings, fault_finding
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import Turn
@@ -35,7 +35,6 @@ from authguard_r.core.principals import Signer, Verifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
 from authguard_r.ledger import Act, Ledger
-from authguard_r.report import fault_finding
 
 #: Where the store holds the number of a counter that it knows of.
 KIND, KNOWN = "counter", "known"

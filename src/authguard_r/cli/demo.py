@@ -13,13 +13,7 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.assembly import (
-    Simulation,
-    demo_members,
-    folder_signer,
-    sign_terminal,
-    simulate,
-)
+from authguard_r.assembly import sign_terminal
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Verification, verify_rows
 from authguard_r.cli.inputs import JsonFlag, read_binding, read_context
@@ -32,9 +26,11 @@ from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token, sign_object
 from authguard_r.enforcement import evaluate
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.safety import EnvelopeGate, default_config, open_config
 from authguard_r.shapes import decision_json, report_json
 from authguard_r.sim.example import bundled_hospital

@@ -213,7 +213,7 @@ def _emergency(
 
 
 def _symbolic(trust: Path, site: Site, rid: RobotId) -> SymbolicRobot:
-    from authguard_r.assembly import folder_signer
+    from authguard_r.keys.signer import folder_signer
 
     now = wall_now(None).utc_ms
     return SymbolicRobot(

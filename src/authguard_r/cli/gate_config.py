@@ -16,7 +16,6 @@ from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
 from authguard_r.anchoring.places import WitnessPlace
-from authguard_r.assembly import folder_signer
 from authguard_r.cli.gate_peers import everybody, mediators_of, peers_of, user_number
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.out import emit
@@ -41,6 +40,7 @@ from authguard_r.gate.checkup.advice import Advice, in_demonstration
 from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
 from authguard_r.gate.config import (
     CONFIG_ROLES,
+    Disclosure,
     GateConfig,
     Peer,
     default_config,
@@ -50,10 +50,9 @@ from authguard_r.gate.config import (
     require_witnesses,
 )
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.sealing import Reader, require_readers, require_retention
-from authguard_r.shapes import Disclosure
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.templates import claimed
 from authguard_r.wire.messages import ClientRole, Mode

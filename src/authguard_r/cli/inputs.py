@@ -106,7 +106,7 @@ def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str |
     Raises:
         EnvironmentFault: the folder has no gate, or several and none was named.
     """
-    from authguard_r.assembly import folder_signer
+    from authguard_r.keys.signer import folder_signer
 
     names = sorted(
         path.name.removesuffix(".cert.pem") for path in folder.glob("keys/gate-*.cert.pem")

@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from authguard_r.assembly import gate_name
 from authguard_r.audit.missing import told
 from authguard_r.audit.note import read_key
 from authguard_r.audit.pieces import MOST_JOBS, usable_jobs, verify_in_pieces
@@ -28,6 +27,7 @@ from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import to_timestamp
+from authguard_r.keys.signer import gate_name
 
 #: Most processes that somebody can ask for.
 _MOST_ASKED = 64

@@ -14,7 +14,6 @@ import msgspec
 import typer
 
 from authguard_r.approvals import Selection
-from authguard_r.assembly import folder_signer
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import Orders, running_gate
 from authguard_r.cli.inputs import (
@@ -39,7 +38,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import VerifiedMission, read_token, sign_object
 from authguard_r.intake import ISSUER_ROLES
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site
 from authguard_r.templates import instantiate, open_template

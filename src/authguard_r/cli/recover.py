@@ -11,7 +11,6 @@ import msgspec
 import typer
 
 from authguard_r.anchoring.outside import BY_COUNTER, BY_STORE
-from authguard_r.assembly import folder_signer
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, Reading, connected
 from authguard_r.cli.inputs import JsonFlag, wall_now
@@ -24,7 +23,7 @@ from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.signer import FileSigner, folder_signer
 
 #: What else than a witness knows how far the log had come.
 _PLACES = {BY_COUNTER: "the counter", BY_STORE: "its own checkpoint"}

@@ -14,7 +14,7 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.assembly import Simulation, folder_signer, sign_terminal, simulate
+from authguard_r.assembly import sign_terminal
 from authguard_r.audit.deviation import Weights
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import (
@@ -46,12 +46,14 @@ from authguard_r.core.mission import Mission, OnRefusal
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.management.configurations import Configuration, Part
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.mentions import How
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.report import Report
 from authguard_r.safety import (
     SafetyConfig,

@@ -15,9 +15,9 @@ import typer
 from authguard_r.cli.exposition import exposition
 from authguard_r.client.link import wall_now
 from authguard_r.core.identifiers import RobotId
+from authguard_r.gate.config import Disclosure
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import Mode
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 from msgspec import to_builtins
 
-from authguard_r.assembly import folder_signer
 from authguard_r.audit.record import NONE
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, Reading, connected
@@ -24,7 +23,7 @@ from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import DataClass
 from authguard_r.core.token import sign_object
-from authguard_r.keys.signer import FileSigner
+from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.management.shredding import ROLES
 from authguard_r.site.source import convert
 

@@ -23,7 +23,7 @@ from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.compile.card import card_digest, review
 from authguard_r.compile.confirmation import How, confirm, confirmation_bytes
-from authguard_r.compile.lint import Code, LintFinding, errors, finding_lines, lint, lint_alone
+from authguard_r.compile.lint import LintCode, LintFinding, errors, finding_lines, lint, lint_alone
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest
@@ -67,7 +67,7 @@ class Reading(Struct, frozen=True, kw_only=True):
         """Return all of it."""
         return [*self.card, *finding_lines(self.findings)]
 
-    def unaccepted(self, accepted: tuple[Code, ...]) -> list[Code]:
+    def unaccepted(self, accepted: tuple[LintCode, ...]) -> list[LintCode]:
         """Return the lint errors that nobody accepted."""
         return sorted(set(errors(self.findings)).difference(accepted))
 
@@ -77,7 +77,7 @@ class Agreed(Struct, frozen=True, kw_only=True):
 
     card: Digest | None
     how: How
-    accepted: tuple[Code, ...]
+    accepted: tuple[LintCode, ...]
     now: Now
 
 
@@ -136,7 +136,7 @@ def require_shown(site: Path | None, *, yes: bool) -> None:
 
 
 def agree(
-    reading: Reading, accepted: tuple[Code, ...], question: str, *, yes: bool, as_json: bool
+    reading: Reading, accepted: tuple[LintCode, ...], question: str, *, yes: bool, as_json: bool
 ) -> Agreed:
     """Ask a person, unless a script signs, and say what was agreed to.
 
@@ -230,7 +230,7 @@ def write_signed(target: Path, token: bytes, confirmation: bytes) -> Path:
     return beside
 
 
-def accepted_codes(names: list[str], reading: Reading) -> tuple[Code, ...]:
+def accepted_codes(names: list[str], reading: Reading) -> tuple[LintCode, ...]:
     """Return the codes that the signer accepts; only what was found can be accepted."""
     found = errors(reading.findings)
     for name in names:
@@ -241,7 +241,7 @@ def accepted_codes(names: list[str], reading: Reading) -> tuple[Code, ...]:
     return tuple(code for code in found if code in names)
 
 
-def refuse_lint(reading: Reading, codes: list[Code], *, as_json: bool) -> int:
+def refuse_lint(reading: Reading, codes: list[LintCode], *, as_json: bool) -> int:
     """Say what the signer has to mend or accept, and sign nothing."""
     message = f"mend it, or accept each by name: {' '.join(f'--accept {code}' for code in codes)}"
     where = next(f.where for f in reading.findings if f.code in codes)

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from authguard_r.assembly import folder_signer
 from authguard_r.cli.gateway import Orders
 from authguard_r.cli.inputs import (
     JsonFlag,
@@ -64,6 +63,7 @@ from authguard_r.intake import ISSUER_ROLES
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.setup import Member, add_member
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.templates import Template, TemplateStanding, open_template, require_sound

@@ -13,13 +13,30 @@ from typing import Literal
 
 from msgspec import Struct
 
-from authguard_r.compile.findings import Code
 from authguard_r.core.encoding import Tag, decode, digest_of, encode
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import Count, Digest, MissionId, Positive, PrincipalId
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
+
+
+class LintCode(StrEnum):
+    """Every kind of finding; docs/spec/lint.md says what each means."""
+
+    SITE_DIFFERS = "SITE_DIFFERS"
+    UNGUARDED_RETURN = "UNGUARDED_RETURN"
+    PARAMETER_UNBOUNDED = "PARAMETER_UNBOUNDED"
+    BOUND_WIDE = "BOUND_WIDE"
+    WIDER_THAN_TASK = "WIDER_THAN_TASK"
+    RETENTION_OPEN = "RETENTION_OPEN"
+    THROUGH_SENSITIVE = "THROUGH_SENSITIVE"
+    WINDOW_LONG = "WINDOW_LONG"
+    NEVER_MATCHES = "NEVER_MATCHES"
+    NEVER_ASKS = "NEVER_ASKS"
+    STREAM_UNBOUNDED = "STREAM_UNBOUNDED"
+    BEYOND_PROFILE = "BEYOND_PROFILE"
+    PLANNER_CHOOSES_RISK = "PLANNER_CHOOSES_RISK"
 
 
 class How(StrEnum):
@@ -58,11 +75,11 @@ class Confirmation(
     how: How
     shown: bool
     card: Digest | None = None
-    accepted: tuple[Code, ...] = ()
+    accepted: tuple[LintCode, ...] = ()
 
 
 def confirm(
-    mission: Mission, *, card: Digest | None, how: How, accepted: tuple[Code, ...], now: Now
+    mission: Mission, *, card: Digest | None, how: How, accepted: tuple[LintCode, ...], now: Now
 ) -> Confirmation:
     """Return the record of a mission being signed now by its issuer.
 

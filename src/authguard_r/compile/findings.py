@@ -11,27 +11,10 @@ from enum import StrEnum
 
 from msgspec import Struct
 
+from authguard_r.compile.confirmation import LintCode
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.mission import Mission
 from authguard_r.site.model import Site
-
-
-class Code(StrEnum):
-    """Every kind of finding; docs/spec/lint.md says what each means."""
-
-    SITE_DIFFERS = "SITE_DIFFERS"
-    UNGUARDED_RETURN = "UNGUARDED_RETURN"
-    PARAMETER_UNBOUNDED = "PARAMETER_UNBOUNDED"
-    BOUND_WIDE = "BOUND_WIDE"
-    WIDER_THAN_TASK = "WIDER_THAN_TASK"
-    RETENTION_OPEN = "RETENTION_OPEN"
-    THROUGH_SENSITIVE = "THROUGH_SENSITIVE"
-    WINDOW_LONG = "WINDOW_LONG"
-    NEVER_MATCHES = "NEVER_MATCHES"
-    NEVER_ASKS = "NEVER_ASKS"
-    STREAM_UNBOUNDED = "STREAM_UNBOUNDED"
-    BEYOND_PROFILE = "BEYOND_PROFILE"
-    PLANNER_CHOOSES_RISK = "PLANNER_CHOOSES_RISK"
 
 
 class Severity(StrEnum):
@@ -52,7 +35,7 @@ class LintFinding(Struct, frozen=True, kw_only=True):
         severity: whether `sign` refuses it.
     """
 
-    code: Code
+    code: LintCode
     where: str
     message: str
     mend: str
@@ -96,12 +79,12 @@ class Scene(Struct, frozen=True, kw_only=True):
     task: tuple[str, ...]
 
 
-def error(code: Code, where: str, message: str, mend: str) -> LintFinding:
+def error(code: LintCode, where: str, message: str, mend: str) -> LintFinding:
     """Return a finding that `sign` refuses."""
     return LintFinding(code=code, where=where, message=message, mend=mend, severity=Severity.ERROR)
 
 
-def warning(code: Code, where: str, message: str, mend: str) -> LintFinding:
+def warning(code: LintCode, where: str, message: str, mend: str) -> LintFinding:
     """Return a finding that is shown."""
     return LintFinding(
         code=code, where=where, message=message, mend=mend, severity=Severity.WARNING

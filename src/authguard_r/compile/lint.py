@@ -10,14 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from authguard_r.compile.findings import (
-    Code,
-    LintFinding,
-    Measures,
-    Scene,
-    Severity,
-    error,
-)
+from authguard_r.compile.confirmation import LintCode
+from authguard_r.compile.findings import LintFinding, Measures, Scene, Severity, error
 from authguard_r.compile.lint_bounds import BOUND_RULES
 from authguard_r.compile.lint_choice import CHOICE_RULES
 from authguard_r.compile.lint_matches import MATCH_RULES, contradictions
@@ -42,7 +36,7 @@ def lint(mission: Mission, site: Site, measures: Measures = DEFAULT) -> tuple[Li
     if mission.site != site_digest(site) or facts is None:
         return (
             error(
-                Code.SITE_DIFFERS,
+                LintCode.SITE_DIFFERS,
                 "site" if mission.site != site_digest(site) else "profile",
                 "the mission was compiled for another site model or capability profile",
                 "compile the draft again for this site",
@@ -71,7 +65,7 @@ def _errors_first(found: Iterable[LintFinding]) -> tuple[LintFinding, ...]:
     return tuple(sorted(found, key=lambda finding: finding.severity is not Severity.ERROR))
 
 
-def errors(findings: tuple[LintFinding, ...]) -> tuple[Code, ...]:
+def errors(findings: tuple[LintFinding, ...]) -> tuple[LintCode, ...]:
     """Return the codes that a signer must accept by name, sorted."""
     return tuple(sorted({f.code for f in findings if f.severity is Severity.ERROR}))
 
@@ -89,7 +83,7 @@ def finding_lines(findings: tuple[LintFinding, ...]) -> list[str]:
 
 
 __all__ = [
-    "Code",
+    "LintCode",
     "LintFinding",
     "Measures",
     "Severity",

@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.compile import spoken
-from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
+from authguard_r.compile.confirmation import LintCode
+from authguard_r.compile.findings import LintFinding, Scene, error, warning
 from authguard_r.compile.lint_scope import Rule
 from authguard_r.compile.worst import reach
 from authguard_r.core.checks.grant import MAX_BYTES
@@ -25,7 +26,7 @@ def unbounded_parameters(scene: Scene) -> Iterator[LintFinding]:
         for name, parameter in model.params.items():
             if parameter.required and name not in bounded:
                 yield error(
-                    Code.PARAMETER_UNBOUNDED,
+                    LintCode.PARAMETER_UNBOUNDED,
                     f"actions[{number}].limits",
                     f"`{grant.id}` has no bounds for `{name}`",
                     f"bound `{name}`: without bounds no action may carry it",
@@ -41,7 +42,7 @@ def wide_bounds(scene: Scene) -> Iterator[LintFinding]:
                 continue
             if item.low <= known.low and item.high >= known.high:
                 yield warning(
-                    Code.BOUND_WIDE,
+                    LintCode.BOUND_WIDE,
                     f"actions[{number}].limits[{index}]",
                     f"`{grant.id}` allows every `{item.parameter}` that there is",
                     "bound it to what the task needs",
@@ -72,7 +73,7 @@ def open_retention(scene: Scene) -> Iterator[LintFinding]:
 
 
 def _retention(where: str, grant: Grant, message: str, mend: str) -> LintFinding:
-    return error(Code.RETENTION_OPEN, where, f"`{grant.id}` {message}", mend)
+    return error(LintCode.RETENTION_OPEN, where, f"`{grant.id}` {message}", mend)
 
 
 def long_window(scene: Scene) -> Iterator[LintFinding]:
@@ -83,7 +84,7 @@ def long_window(scene: Scene) -> Iterator[LintFinding]:
     longest = max(measures.window_factor * needed, measures.window_floor_ms)
     if length > longest:
         yield warning(
-            Code.WINDOW_LONG,
+            LintCode.WINDOW_LONG,
             "expiry",
             f"the mission is valid for {spoken.duration(length)}; all its actions together take at "
             f"most {spoken.duration(needed)}",
@@ -100,14 +101,14 @@ def unbounded_streams(scene: Scene) -> Iterator[LintFinding]:
         for index, row in enumerate(grant.alternatives):
             if not row.regions:
                 yield error(
-                    Code.STREAM_UNBOUNDED,
+                    LintCode.STREAM_UNBOUNDED,
                     f"actions[{number}].alternatives[{index}].regions",
                     f"`{grant.id}` may drive anywhere",
                     "list the regions that it may touch",
                 )
         if grant.max_ms > longest:
             yield error(
-                Code.STREAM_UNBOUNDED,
+                LintCode.STREAM_UNBOUNDED,
                 f"actions[{number}].max_ms",
                 f"`{grant.id}` may drive for {spoken.duration(grant.max_ms)} on one decision",
                 f"let one lease last at most {spoken.duration(longest)}",
@@ -132,7 +133,7 @@ def beyond_profile(scene: Scene) -> Iterator[LintFinding]:
             known = model.params.get(item.parameter)
             if known is not None and reach(item) > most.get(known.unit, reach(item)):
                 yield error(
-                    Code.BEYOND_PROFILE,
+                    LintCode.BEYOND_PROFILE,
                     f"actions[{number}].limits[{index}]",
                     f"`{grant.id}` allows {spoken.quantity(reach(item), known.unit)}; the robot "
                     f"can do {spoken.quantity(most[known.unit], known.unit)}",
@@ -143,7 +144,7 @@ def beyond_profile(scene: Scene) -> Iterator[LintFinding]:
             heavy = thing is not None and thing.mass_g > profile.max_payload_g
             if heavy and grant.type in _LIFTING:
                 yield error(
-                    Code.BEYOND_PROFILE,
+                    LintCode.BEYOND_PROFILE,
                     f"actions[{number}].alternatives[{index}].object",
                     f"`{row.object}` is heavier than the robot's payload of "
                     f"{spoken.quantity(profile.max_payload_g, 'g')}",

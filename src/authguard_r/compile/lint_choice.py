@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.compile.conditions import can_hold
-from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
+from authguard_r.compile.confirmation import LintCode
+from authguard_r.compile.findings import LintFinding, Scene, error, warning
 from authguard_r.compile.lint_matches import comes_before
 from authguard_r.compile.lint_scope import Rule, abandons
 from authguard_r.compile.worst import worst_risk
@@ -34,7 +35,7 @@ def planner_chooses_risk(scene: Scene) -> Iterator[LintFinding]:
             and len({_risk(r, grant, scene) for r in grant.alternatives}) > 1
         ):
             yield warning(
-                Code.PLANNER_CHOOSES_RISK,
+                LintCode.PLANNER_CHOOSES_RISK,
                 f"actions[{number}].chooser",
                 f"whoever steers the planner picks among rows of `{grant.id}` of different risk",
                 _MEND,
@@ -49,7 +50,7 @@ def never_set(scene: Scene) -> Iterator[LintFinding]:
         if not left & UNTRUSTED:
             whose = "the site's" if not site.get(field, UNTRUSTED) & UNTRUSTED else "the mission's"
             yield error(
-                Code.NEVER_MATCHES,
+                LintCode.NEVER_MATCHES,
                 f"sources.{field}",
                 f"no planner can set `{field}`: {whose} source set has no label of a planner's",
                 f"add `model` to {whose} `sources.{field}`",
@@ -68,7 +69,7 @@ def planner_chooses_grant(scene: Scene) -> Iterator[LintFinding]:
         for other in found:
             if _competes(other, grant, scene) and not _apart(other, grant, scene.mission):
                 yield warning(
-                    Code.PLANNER_CHOOSES_RISK,
+                    LintCode.PLANNER_CHOOSES_RISK,
                     f"actions[{number}]",
                     f"whoever steers the planner picks between `{other.id}` and `{grant.id}`, "
                     "which differ in risk",

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.compile.conditions import can_hold
-from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
+from authguard_r.compile.confirmation import LintCode
+from authguard_r.compile.findings import LintFinding, Scene, error, warning
 from authguard_r.compile.lint_scope import Rule
 from authguard_r.compile.path import reachable
 from authguard_r.core.checks.grant import MAX_BYTES, spend_of
@@ -28,7 +29,7 @@ def never_matches(scene: Scene) -> Iterator[LintFinding]:
         place = f"actions[{number}]"
         for part in (_capability, _limits, _rights, _budgets):
             for where, message in part(scene, grant):
-                yield error(Code.NEVER_MATCHES, *_told(f"{place}.{where}", message, grant))
+                yield error(LintCode.NEVER_MATCHES, *_told(f"{place}.{where}", message, grant))
         yield from contradictions(scene.mission, number)
         faults = [
             (*_row(scene, grant, row), *_start(row, home, near)) for row in grant.alternatives
@@ -37,14 +38,14 @@ def never_matches(scene: Scene) -> Iterator[LintFinding]:
         for index, found in enumerate(faults):
             for where, message in found:
                 spot = f"{place}.alternatives[{index}].{where}"
-                yield judge(Code.NEVER_MATCHES, *_told(spot, message, grant))
+                yield judge(LintCode.NEVER_MATCHES, *_told(spot, message, grant))
 
 
 def contradictions(mission: Mission, number: int) -> Iterator[LintFinding]:
     """Find what keeps one grant shut by the mission's own words, at any site."""
     grant = mission.actions[number]
     for where, message in (*_order(mission, grant), *_guards(mission, grant)):
-        yield error(Code.NEVER_MATCHES, *_told(f"actions[{number}].{where}", message, grant))
+        yield error(LintCode.NEVER_MATCHES, *_told(f"actions[{number}].{where}", message, grant))
 
 
 def _told(where: str, message: str, grant: Grant) -> tuple[str, str, str]:

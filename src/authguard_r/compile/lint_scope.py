@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 
 from authguard_r.compile import wording
 from authguard_r.compile.conditions import real_guards
-from authguard_r.compile.findings import Code, LintFinding, Scene, error, warning
+from authguard_r.compile.confirmation import LintCode
+from authguard_r.compile.findings import LintFinding, Scene, error, warning
 from authguard_r.compile.path import SENSITIVE_TAGS
 from authguard_r.compile.worst import reach, worst_risk
 from authguard_r.core.facts import ActionKind
@@ -51,10 +52,10 @@ def _unguarded(mission: Mission, leaving: list[bool]) -> Iterator[LintFinding]:
         mend = "add a guard on attested state, such as a low battery or empty hands"
         if grant.after:
             message = f"only order holds `{grant.id}` back: {lack}"
-            yield warning(Code.UNGUARDED_RETURN, place, message, mend)
+            yield warning(LintCode.UNGUARDED_RETURN, place, message, mend)
         else:
             message = f"`{grant.id}` may end the work at any time: {lack}"
-            yield error(Code.UNGUARDED_RETURN, place, message, mend)
+            yield error(LintCode.UNGUARDED_RETURN, place, message, mend)
 
 
 def _lack(guards: tuple[Guard, ...]) -> str:
@@ -139,7 +140,7 @@ def _speaks_of_region(region: RegionId, grant: Grant, scene: Scene) -> bool:
 
 def _unspoken(where: str, what: str, grant: Grant) -> LintFinding:
     return warning(
-        Code.WIDER_THAN_TASK,
+        LintCode.WIDER_THAN_TASK,
         where,
         f"`{grant.id}` grants {what}, which the task does not speak of",
         "leave it out, or say it in the task",
@@ -162,7 +163,7 @@ def through_sensitive(scene: Scene) -> Iterator[LintFinding]:
                 spoken = wording.mentions(asked, wording.region_names(region, scene.site))
                 judge = warning if spoken else error
                 yield judge(
-                    Code.THROUGH_SENSITIVE,
+                    LintCode.THROUGH_SENSITIVE,
                     f"actions[{number}].alternatives[{index}].regions",
                     f"`{grant.id}` may pass through `{region}` ({', '.join(tags)})",
                     "leave the region out"
@@ -189,7 +190,7 @@ def never_asks(scene: Scene) -> Iterator[LintFinding]:
     risky = [f"`{grant.id}`" for grant in mission.actions if _is_sensitive(grant, scene)]
     if risky:
         yield error(
-            Code.NEVER_ASKS,
+            LintCode.NEVER_ASKS,
             "risk_policy.tau_1",
             f"no risk reaches {mission.risk_policy.tau_1} (the highest is {highest}), so nobody is "
             f"asked about {', '.join(risky)}",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.reasons import ORDER, STEP, Reason
 
 
@@ -39,3 +40,8 @@ def in_paper_order(findings: Findings) -> Findings:
     """Return the findings with the primary one first, without repeats."""
     unique = dict.fromkeys(findings)
     return tuple(sorted(unique, key=lambda f: (ORDER[f.reason], f.field)))
+
+
+def fault_finding(error: AuthGuardError) -> Finding:
+    """Return an exception as the finding that ends a lease."""
+    return Finding(error.where or "gate", error.reason, "a working part", error.message)

@@ -8,6 +8,7 @@ named may do nothing, not even stop. Spec page: docs/spec/gate-protocol.md#confi
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated
 
 from msgspec import Meta, Struct
@@ -22,12 +23,23 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.sealing import Reader, Retention, require_readers, require_retention
-from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
 #: Fewest records of a segment.
 LEAST_RECORDS = 1_024
 CONFIG_ROLES = frozenset({"site_authority"})
+
+
+class Disclosure(StrEnum):
+    """How much of a refusal the planner is told.
+
+    `codes`: reasons only. `fields`: the field of each finding too, not what was expected there.
+    `full`: everything that the operator sees, but for the smallest change.
+    """
+
+    CODES = "codes"
+    FIELDS = "fields"
+    FULL = "full"
 
 
 class Peer(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):

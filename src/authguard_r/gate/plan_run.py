@@ -11,10 +11,11 @@ from typing import Any, Protocol
 
 from authguard_r.core.identifiers import Digest
 from authguard_r.gate.clients import Client
+from authguard_r.gate.config import Disclosure
 from authguard_r.gate.proposals import Answered, Numbers
 from authguard_r.normalize import Step
 from authguard_r.report import Report
-from authguard_r.shapes import Disclosure, told_json
+from authguard_r.shapes import told_json
 from authguard_r.wire.messages import Propose
 
 

@@ -21,6 +21,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement import Enforcer
 from authguard_r.gate.clients import Client
+from authguard_r.gate.config import Disclosure
 from authguard_r.gate.foresight import Foresight
 from authguard_r.gate.motions import Motions
 from authguard_r.gate.plan_run import Later, Run
@@ -36,7 +37,7 @@ from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.normalize.context import ContextLedger
 from authguard_r.report import Report
 from authguard_r.running import Running, require_judged
-from authguard_r.shapes import Disclosure, decision_json, told_json
+from authguard_r.shapes import decision_json, told_json
 from authguard_r.wire.messages import Evaluate, Fault, Propose, Result
 
 #: Characters of an observed text that are looked through in one turn.

@@ -20,10 +20,11 @@ from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
+from authguard_r.gate.config import Disclosure
 from authguard_r.gate.retold import retold
 from authguard_r.ledger import Act, Ledger, read_held
 from authguard_r.report import Report
-from authguard_r.shapes import Disclosure, disclosed
+from authguard_r.shapes import disclosed
 
 #: Answers that are remembered beside the store.
 _MOST_KNOWN = 1_024

@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
+from authguard_r.gate.config import Disclosure
 from authguard_r.http.link import AwayError, GateLink, busy
 from authguard_r.http.messages import (
     Carried,
@@ -31,7 +32,7 @@ from authguard_r.http.messages import (
     Trouble,
 )
 from authguard_r.http.reading import call_of, plan_of, questions_of, single_of
-from authguard_r.shapes import Disclosure, disclosed
+from authguard_r.shapes import disclosed
 
 #: How a planner's framework calls its tools: the dialect of `plan_of`.
 _DIALECT = "json"

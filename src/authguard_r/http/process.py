@@ -19,6 +19,7 @@ from OpenSSL import SSL
 from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log, require_folder
 from authguard_r.core.errors import EnvironmentFault
+from authguard_r.gate.config import Disclosure
 from authguard_r.http.app import Endpoints, application
 from authguard_r.http.clients import Doorkeeper
 from authguard_r.http.deciding import Decider
@@ -31,7 +32,6 @@ from authguard_r.listening.guests import Guest
 from authguard_r.listening.journal import Lines
 from authguard_r.listening.ports import App
 from authguard_r.listening.serving import serve_until_told
-from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
 

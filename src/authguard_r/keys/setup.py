@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 from msgspec import Struct
 
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
-from authguard_r.core.identifiers import is_identifier
+from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import (
@@ -35,7 +35,8 @@ from authguard_r.keys.envelope import is_sealed
 from authguard_r.keys.files import write_keys, write_whole
 from authguard_r.keys.loading import load_pem
 from authguard_r.keys.revocation import Revocation, sign_list
-from authguard_r.keys.signer import Passphrase, open_key_file
+from authguard_r.keys.signer import Passphrase, gate_name, open_key_file
+from authguard_r.site.model import Site, profile_digest
 
 #: What the files of the second root, and of everything under it, are told apart by.
 SUFFIXES = ("", "-2")
@@ -317,3 +318,23 @@ def _authority(
     write_keys(folder / "keys" / f"{name}.key.pem", key)
     write_revocations(folder, name, key, serials=(), now=now, number=1, days=days - 1)
     return Issued(key, certificate)
+
+
+def demo_members(site: Site, rids: tuple[RobotId, ...]) -> tuple[Member, ...]:
+    """Return who gets a key in a one-folder set-up: people, and the machines of each robot."""
+    people = (
+        Member(id="operator-1", role=Role.OPERATOR, robots=None, regions=None),
+        Member(id="supervisor-1", role=Role.SUPERVISOR, robots=None, regions=None),
+        Member(id="supervisor-2", role=Role.SUPERVISOR, robots=None, regions=None),
+        Member(id="safety-officer-1", role=Role.SAFETY_OFFICER, robots=None, regions=None),
+        Member(id="site-authority-1", role=Role.SITE_AUTHORITY),
+        Member(id="witness-1", role=Role.WITNESS),
+    )
+    machines: list[Member] = []
+    for rid in rids:
+        profile = profile_digest(site.robots[rid].profile)
+        machines += [
+            Member(id=gate_name(rid), role=Role.GATE, robots=(rid,), profile=profile),
+            Member(id=f"estimator-{rid}", role=Role.ESTIMATOR, robots=(rid,)),
+        ]
+    return (*people, *machines)

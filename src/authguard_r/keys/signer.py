@@ -19,7 +19,8 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
-from authguard_r.core.errors import AuthenticityError
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault
+from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Endorsed
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import PRIVATE, PrivateKey, PublicKey, require_private
@@ -186,3 +187,21 @@ def _key(block: bytes, path: Path) -> PrivateKey:
 
 def _bad(message: str, path: Path) -> AuthenticityError:
     return AuthenticityError(message, reason=Reason.KEY_INVALID, where=str(path))
+
+
+def folder_signer(folder: Path, name: str) -> FileSigner:
+    """Return the signer that a one-folder set-up holds for a principal.
+
+    Raises:
+        EnvironmentFault: the folder has no such key.
+    """
+    key = folder / "keys" / f"{name}.key.pem"
+    if not key.is_file():
+        text = f"`{folder}` holds no key of `{name}`"
+        raise EnvironmentFault(text, reason=Reason.STORE_UNAVAILABLE, where=str(key))
+    return read_signer(key, folder / "keys" / f"{name}.cert.pem")
+
+
+def gate_name(rid: RobotId) -> str:
+    """Return the name under which a one-folder set-up keeps a robot's gate."""
+    return f"gate-{rid}"

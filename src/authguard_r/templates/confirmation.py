@@ -11,8 +11,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from authguard_r.compile.confirmation import How
-from authguard_r.compile.findings import Code
+from authguard_r.compile.confirmation import How, LintCode
 from authguard_r.core.encoding import Tag, decode, digest_of, encode
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Count, Digest, PrincipalId
@@ -46,11 +45,11 @@ class TemplateConfirmation(
     how: How
     shown: bool
     card: Digest | None = None
-    accepted: tuple[Code, ...] = ()
+    accepted: tuple[LintCode, ...] = ()
 
 
 def confirm_template(
-    template: Template, *, card: Digest | None, how: How, accepted: tuple[Code, ...], now: Now
+    template: Template, *, card: Digest | None, how: How, accepted: tuple[LintCode, ...], now: Now
 ) -> TemplateConfirmation:
     """Return the record of a template being signed now by its issuer."""
     return TemplateConfirmation(

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client.attesting import Attester, AttestingEnd, Seen, since
 from authguard_r.client.link import Log
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.frames import Frame

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client.driver import BOUNDS
 from authguard_r.client.link import MAX_UNREAD, Caller, Log
 from authguard_r.client.proof import Proven
 from authguard_r.core.identifiers import Identifier
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import ClientRole

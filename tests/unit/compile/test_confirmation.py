@@ -14,11 +14,11 @@ from authguard_r.compile.card import card_digest, review
 from authguard_r.compile.confirmation import (
     Confirmation,
     How,
+    LintCode,
     confirm,
     confirmation_bytes,
     read_confirmation,
 )
-from authguard_r.compile.findings import Code
 from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
 from fixtures import scenarios
@@ -33,7 +33,7 @@ def confirmed(**changes: Any) -> Confirmation:
         mission,
         card=card_digest(review(mission, scenarios.site())),
         how=How.INTERACTIVE,
-        accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE),
+        accepted=(LintCode.NEVER_ASKS, LintCode.BEYOND_PROFILE),
         now=scenarios.NOW,
     )
     return SET(said, **changes)
@@ -89,8 +89,8 @@ def test_what_is_no_confirmation_is_malformed() -> None:
         encode({**msgspec.to_builtins(confirmed()), "accepted": []}),
         encode_fast({**msgspec.to_builtins(confirmed()), "card": None}),
         encode({k: v for k, v in msgspec.to_builtins(confirmed()).items() if k != "shown"}),
-        encode(confirmed(accepted=(Code.NEVER_ASKS, Code.BEYOND_PROFILE))),
-        encode(confirmed(accepted=(Code.NEVER_ASKS, Code.NEVER_ASKS))),
+        encode(confirmed(accepted=(LintCode.NEVER_ASKS, LintCode.BEYOND_PROFILE))),
+        encode(confirmed(accepted=(LintCode.NEVER_ASKS, LintCode.NEVER_ASKS))),
         json.dumps(msgspec.to_builtins(confirmed())).encode(),
     ]:
         with case(data), pytest.raises(MalformedError):

@@ -18,7 +18,7 @@ import pytest
 from authguard_r.compile.answers import apply, compile_plain
 from authguard_r.compile.card import review
 from authguard_r.compile.lint import (
-    Code,
+    LintCode,
     Measures,
     Severity,
     errors,
@@ -97,8 +97,8 @@ def test_a_pair_has_exactly_its_findings() -> None:
 
 def test_every_code_has_a_pair_with_it_and_a_near_miss_without() -> None:
     assert len(PAIRS) >= 30
-    assert {code for name in PAIRS for code, _, _ in pair(name)["findings"]} == set(Code)
-    assert {pair(name).get("near_miss") for name in PAIRS} - {None} == set(Code)
+    assert {code for name in PAIRS for code, _, _ in pair(name)["findings"]} == set(LintCode)
+    assert {pair(name).get("near_miss") for name in PAIRS} - {None} == set(LintCode)
 
 
 def test_the_shipped_missions_have_no_error() -> None:
@@ -110,7 +110,7 @@ def test_the_shipped_missions_have_no_error() -> None:
 def test_errors_come_first_and_each_line_has_its_mend() -> None:
     found = lint(*world_of("18-filming-for-a-week"))
     assert [f.severity for f in found] == [Severity.ERROR, Severity.WARNING]
-    assert errors(found) == (Code.RETENTION_OPEN,)
+    assert errors(found) == (LintCode.RETENTION_OPEN,)
     lines = finding_lines(found)
     assert lines[0].startswith("ERROR   RETENTION_OPEN at actions[6].data.store: `film` keeps")
     assert lines[1].strip().startswith("mend: ")
@@ -121,11 +121,11 @@ def test_a_site_may_draw_its_lines_elsewhere() -> None:
     mission, site = world_of("25-a-whole-day-for-ten-minutes")
     assert lint(mission, site, Measures(window_factor=1_000)) == ()
     mission, site = world_of("17-filming-as-asked")
-    assert errors(lint(mission, site, Measures(retention_ms=1))) == (Code.RETENTION_OPEN,)
+    assert errors(lint(mission, site, Measures(retention_ms=1))) == (LintCode.RETENTION_OPEN,)
     mission, site = world_of("41-a-stream-that-goes-on")
     assert lint(mission, site, Measures(stream_ms=10_000)) == ()
     mission, site = world_of("01-going-home-with-empty-hands")
-    assert errors(lint(mission, site, Measures(forceful_percent=50))) == (Code.NEVER_ASKS,)
+    assert errors(lint(mission, site, Measures(forceful_percent=50))) == (LintCode.NEVER_ASKS,)
 
 
 def guard(comparison: str, value: Any) -> Guard:
@@ -153,7 +153,7 @@ def test_guards_that_contradict_each_other_are_seen() -> None:
             mission, site = world({"findings": []})
             first = SET(mission.actions[0], guards=tuple(guard(*g) for g in guards))
             found = lint(SET(mission, actions=(first, *mission.actions[1:])), site)
-            assert (Code.NEVER_MATCHES in errors(found)) is not can_hold
+            assert (LintCode.NEVER_MATCHES in errors(found)) is not can_hold
 
 
 PLACELESS = {
@@ -182,7 +182,7 @@ DELIVER = "Carry medicine package P1 from Pharmacy Desk A to Nurse Station 101"
 def sensitive(task: str) -> list[str]:
     """Return how the way through the plant room is judged under a task."""
     mission, site = world({"task": task, "draft": THROUGH_PLANT})
-    return [str(f.severity) for f in lint(mission, site) if f.code is Code.THROUGH_SENSITIVE]
+    return [str(f.severity) for f in lint(mission, site) if f.code is LintCode.THROUGH_SENSITIVE]
 
 
 def test_the_attack_a_denial_that_names_a_region_opens_no_way_through_it() -> None:
@@ -220,7 +220,7 @@ def test_a_region_that_the_task_asks_for_is_still_shown(asked: str) -> None:
 def test_the_end_of_a_row_is_no_way_through_whatever_the_task_denies() -> None:
     plain = pair("24-to-an-office")
     mission, site = world({**plain, "task": f"{DELIVER}. Never enter Office 1."})
-    assert Code.THROUGH_SENSITIVE not in {f.code for f in lint(mission, site)}
+    assert LintCode.THROUGH_SENSITIVE not in {f.code for f in lint(mission, site)}
 
 
 def bounded(low: int, high: int, parameter: str, grant: int) -> tuple[Mission, Site]:
@@ -274,7 +274,9 @@ def test_pressing_hard_backwards_with_a_threshold_that_never_asks_is_seen(
 ) -> None:
     mission, site = bounded(low, high, "force_mn", 1)
     policy = SET(mission.risk_policy, tau_1=10_000, tau_2=10_000)
-    found = [f for f in lint(SET(mission, risk_policy=policy), site) if f.code is Code.NEVER_ASKS]
+    found = [
+        f for f in lint(SET(mission, risk_policy=policy), site) if f.code is LintCode.NEVER_ASKS
+    ]
     assert [f"`{mission.actions[1].id}`" in f.message for f in found] == [True]
 
 
@@ -290,7 +292,7 @@ def test_some_errors_are_seen_without_the_site() -> None:
 def test_without_the_site_no_error_is_seen_that_is_not_one_with_it() -> None:
     for name in PAIRS:
         mission, site = world_of(name)
-        if Code.SITE_DIFFERS not in (known := errors(lint(mission, site))):
+        if LintCode.SITE_DIFFERS not in (known := errors(lint(mission, site))):
             assert set(errors(lint_alone(mission))) <= set(known), name
 
 
@@ -306,7 +308,7 @@ def test_what_the_site_does_not_know_is_said_and_nothing_breaks() -> None:
     )
     for grant in odd:
         changed = SET(mission, actions=(mission.actions[0], grant, *mission.actions[2:]))
-        assert Code.NEVER_MATCHES in errors(lint(changed, site))
+        assert LintCode.NEVER_MATCHES in errors(lint(changed, site))
 
 
 def test_the_page_of_lint_codes_is_the_enumeration() -> None:
@@ -314,7 +316,7 @@ def test_the_page_of_lint_codes_is_the_enumeration() -> None:
     table = page.partition("## Findings")[2]
     rows = [line.strip("|").split("|") for line in table.splitlines() if line.startswith("| `")]
     told = {row[0].strip().strip("`"): row[1].strip() for row in rows}
-    assert list(told) == [str(code) for code in Code]
+    assert list(told) == [str(code) for code in LintCode]
     assert all(cell.strip() for row in rows for cell in row)
     seen: dict[str, set[str]] = {}
     for name in PAIRS:

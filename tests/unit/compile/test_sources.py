@@ -11,8 +11,9 @@ import pytest
 from authguard_r.compile.build import compile_draft
 from authguard_r.compile.card import compare, review
 from authguard_r.compile.change import to_draft
+from authguard_r.compile.confirmation import LintCode
 from authguard_r.compile.draft import Draft
-from authguard_r.compile.findings import Code, Severity
+from authguard_r.compile.findings import Severity
 from authguard_r.compile.lint import lint
 from authguard_r.compile.sources import given_weights
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
@@ -261,7 +262,7 @@ def test_a_site_that_people_write_is_refused_by_the_place_of_the_word() -> None:
 def test_the_lint_names_a_set_that_no_planner_can_satisfy() -> None:
     mission = build(sources={"type": ["operator"]})
     (finding,) = [f for f in lint(mission, scenarios.site()) if f.where == "sources.type"]
-    assert (finding.code, finding.severity) == (Code.NEVER_MATCHES, Severity.ERROR)
+    assert (finding.code, finding.severity) == (LintCode.NEVER_MATCHES, Severity.ERROR)
     assert "the mission's" in finding.mend
     site = allowing(tool=(Label.SUPERVISOR,))
     (finding,) = [f for f in lint(build(site), site) if f.where == "sources.tool"]

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import (
     MAX_BYTES,
     Tag,
@@ -40,6 +39,7 @@ from authguard_r.core.token import (
     verify_mission,
 )
 from authguard_r.keys.certificate import Role
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import Trust, read_trust
 from fixtures import scenarios
 from fixtures.amount import amount

@@ -27,7 +27,7 @@ from typing import Any, Self
 
 import msgspec
 
-from authguard_r.assembly import assemble, demo_members, folder_signer, gate_name
+from authguard_r.assembly import assemble
 from authguard_r.audit.record import Record, read_record, read_sealed
 from authguard_r.client.controller import Channel, ControllerDesk, Sent
 from authguard_r.client.greeting import Greeting
@@ -47,7 +47,8 @@ from authguard_r.gate.reader import Reader
 from authguard_r.gate.recovery import Recovery
 from authguard_r.gate.service import Service
 from authguard_r.gate.streams import Streams
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, load_binding

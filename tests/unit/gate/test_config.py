@@ -10,7 +10,6 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.anchoring.places import WitnessPlace
-from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.identifiers import RobotId
@@ -25,6 +24,7 @@ from authguard_r.gate.config import (
 )
 from authguard_r.gate.vigil import notary_policy
 from authguard_r.keys.notes import witness_key
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios

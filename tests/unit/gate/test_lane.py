@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client.greeting import Greeting, require_welcome
 from authguard_r.core.quantities import Now
 from authguard_r.gate.config import Peer as Named
@@ -29,6 +28,7 @@ from authguard_r.gate.lane.desk import (
 from authguard_r.gate.lane.journal import FIRST_WINDOW, MOST_FIRST, WINDOW, Journal
 from authguard_r.gate.lane.stops import PATIENCE_MS, REPEAT_MS, Brake, Stops
 from authguard_r.gate.peers import OVERFLOW_UID
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import FrameReader, frame, raw_frame, read_body
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, Stood, StopHeard, Welcome

@@ -15,7 +15,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.token import sign_object
@@ -25,6 +24,7 @@ from authguard_r.gate.lane.keeper import LaneKeeper
 from authguard_r.gate.lane.link import LaneLink
 from authguard_r.gate.lane.place import PID, SOCKET
 from authguard_r.gate.lane.run import LaneFiles
+from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole, StopHeard
 from fixtures import estop_fixtures, scenarios
 from unit.gate.demo_site import PATIENCE_S

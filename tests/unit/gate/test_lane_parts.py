@@ -22,7 +22,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -47,6 +46,7 @@ from authguard_r.gate.lane.place import (
 )
 from authguard_r.gate.lane.run import Favor, Ready, ask_favor, is_given, run_lane, say_to_stderr
 from authguard_r.gate.lane.spool import MOST_SPOOLED, Spool, left_by, next_epoch
+from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, StopHeard
 from fixtures import estop_fixtures, scenarios

@@ -18,8 +18,8 @@ from authguard_r.core.mission import OnRefusal
 from authguard_r.core.provenance import TRUST, Label
 from authguard_r.gate import sessions
 from authguard_r.gate.clients import MOST_WAITING, Client
+from authguard_r.gate.config import Disclosure
 from authguard_r.gate.plans import _MOST_CONTEXTS, _MOST_OF_USER
-from authguard_r.shapes import Disclosure
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.frames import raw_frame
 from authguard_r.wire.messages import Act, ClientRole, Evaluate, Kind, Mode, Observe, Order, Propose

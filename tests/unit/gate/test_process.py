@@ -15,7 +15,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.assembly import folder_signer, gate_name
 from authguard_r.audit.record import read_record
 from authguard_r.client import GateClient
 from authguard_r.compile.build import compile_draft
@@ -28,6 +27,7 @@ from authguard_r.gate.lane.run import LaneFiles
 from authguard_r.gate.lock import hold_robot, root_fingerprint
 from authguard_r.gate.parts import Parts
 from authguard_r.gate.process import SOCKET, Rendezvous, _Pace, run_gate
+from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config as default_safety
 from authguard_r.sim.robot import SymbolicRobot

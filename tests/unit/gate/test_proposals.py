@@ -11,11 +11,12 @@ from authguard_r.core.encoding import Tag, b64, digest, encode_fast
 from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.reasons import Reason
+from authguard_r.gate.config import Disclosure
 from authguard_r.gate.proposals import _MOST_KNOWN, Answered, Keeper, Kept, Proposals
 from authguard_r.gate.retold import retold
 from authguard_r.ledger import Act
 from authguard_r.report import Refusal, Report
-from authguard_r.shapes import Disclosure, report_json
+from authguard_r.shapes import report_json
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from unit.gate.demo_site import GO, SCAN, House

@@ -11,7 +11,6 @@ from msgspec.structs import replace
 
 from authguard_r.anchoring.counter import FileCounter
 from authguard_r.anchoring.places import WitnessPlace
-from authguard_r.assembly import simulate
 from authguard_r.client.session import done_of
 from authguard_r.core.errors import ClockError, MalformedError, RefusedError
 from authguard_r.core.quantities import Now
@@ -21,6 +20,7 @@ from authguard_r.gate.checkup.advice import Code, Level
 from authguard_r.gate.checkup.logbook import counter_advice, store_advice, witness_advice
 from authguard_r.gate.mends import MENDS
 from authguard_r.gate.recovery import Recovery
+from authguard_r.operations.simulation import simulate
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import Act
 from fixtures import scenarios

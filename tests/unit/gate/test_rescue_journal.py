@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import gate_name
 from authguard_r.emergency.policy import Caller
 from authguard_r.gate.roads import STRANGE, open_journal
+from authguard_r.keys.signer import gate_name
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios

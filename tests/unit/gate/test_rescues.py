@@ -11,7 +11,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.assembly import gate_name
 from authguard_r.audit.record import Record, read_record
 from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast
@@ -25,6 +24,7 @@ from authguard_r.emergency.policy import Caller, EmergencyPolicy
 from authguard_r.gate import rescues
 from authguard_r.gate.roads import open_journal, open_road
 from authguard_r.keys.revoking import revoke
+from authguard_r.keys.signer import gate_name
 from authguard_r.rescue import Relief, Rescued
 from authguard_r.rescue_log import Kept
 from authguard_r.sim.robot import Faults

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import Simulation
 from authguard_r.audit.record import Entry, append
 from authguard_r.commands import Verb
 from authguard_r.core.mission import DataClass
@@ -20,6 +19,7 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.gate.config import default_config
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.retirement import EVERY_MS, STUCK, Retirement
+from authguard_r.operations.simulation import Simulation
 from authguard_r.wire.messages import Mode
 from fixtures import scenarios, sealed_logs
 

@@ -7,8 +7,7 @@ import pytest
 
 from authguard_r.gate.checkup.advice import Advice, Code, Level, in_demonstration
 from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
-from authguard_r.gate.config import Peer
-from authguard_r.shapes import Disclosure
+from authguard_r.gate.config import Disclosure, Peer
 from authguard_r.wire.messages import ClientRole, Mode
 from unit.gate.robots import config, peers
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from authguard_r.assembly import Simulation
 from authguard_r.gate.journal import Journal
 from authguard_r.gate.liveness import Liveness
 from authguard_r.gate.notices import Notices
 from authguard_r.gate.vigil import Vigil
+from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.gate_process import until

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.assembly import Simulation
 from authguard_r.audit.verify import Row
 from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
@@ -21,6 +20,7 @@ from authguard_r.core.mission import FIRST_SCHEMA, DataClass, Mission
 from authguard_r.core.quantities import to_ms
 from authguard_r.management.parts import entry
 from authguard_r.management.shredding import DAY_MS, Retired
+from authguard_r.operations.simulation import Simulation
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import due_missions, retention_of
 from fixtures import scenarios, sealed_logs

@@ -13,7 +13,6 @@ import apsw
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.assembly import Simulation
 from authguard_r.audit.record import BOX, WRAP, Entry, append
 from authguard_r.audit.verify import Row
 from authguard_r.cli.replay import Replay
@@ -26,6 +25,7 @@ from authguard_r.core.standing import OpenRelease, Spend
 from authguard_r.ledger import Act
 from authguard_r.management.parts import entry
 from authguard_r.management.shredding import DAY_MS, PAGE, Retired
+from authguard_r.operations.simulation import Simulation
 from authguard_r.refusals import RefusalPolicy
 from authguard_r.sealing import SealingPolicy
 from authguard_r.sealing.kept import HELD, due_missions

@@ -16,7 +16,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.assembly import Simulation, simulate
 from authguard_r.audit.record import read_record
 from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
@@ -29,6 +28,7 @@ from authguard_r.core.standing import Outcome, issue
 from authguard_r.core.token import sign_object
 from authguard_r.normalize import Step
 from authguard_r.normalize.context import ContextLedger
+from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.report import Report
 from authguard_r.running import Running
 from authguard_r.safety import EnvelopeGate, Rule, SafetyConfig, Together, default_config

@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client.controller import Channel, ControllerDesk, Sent
 from authguard_r.client.greeting import Greeting
 from authguard_r.client.proof import Proven, prove
@@ -15,6 +14,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import ActionType, Digest, RobotId
 from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults, SymbolicRobot

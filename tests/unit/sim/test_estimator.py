@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.client.attesting import ANSWER_MS
 from authguard_r.client.sensing import ID_MODULUS
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import open_token
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.estimator import Estimator
 from authguard_r.sim.robot import Faults, SymbolicRobot

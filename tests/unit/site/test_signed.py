@@ -6,12 +6,12 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from authguard_r.assembly import folder_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import Site, site_digest
 from authguard_r.site.signed import (

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import pytest
 
-from authguard_r.assembly import Simulation
 from authguard_r.audit.record import read_sealed
 from authguard_r.compile.card import card_digest, review
 from authguard_r.compile.confirmation import How
-from authguard_r.compile.lint import Code, errors
+from authguard_r.compile.lint import LintCode, errors
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
+from authguard_r.operations.simulation import Simulation
 from authguard_r.templates import Hole, HoleKind
 from authguard_r.templates.card import (
     every_mission,
@@ -92,7 +92,7 @@ def test_numbers_are_not_looked_up() -> None:
 
 def said(how: How = How.INTERACTIVE) -> bytes:
     card = card_digest(tuple(review_template(template(), every_mission(template()), SITE)))
-    accepted = (Code.UNGUARDED_RETURN,)
+    accepted = (LintCode.UNGUARDED_RETURN,)
     record = confirm_template(template(), card=card, how=how, accepted=accepted, now=scenarios.NOW)
     return confirmation_bytes(record)
 

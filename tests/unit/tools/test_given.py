@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.assembly import demo_members, folder_signer
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
-from authguard_r.keys.setup import init_folder
+from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.signed import sign_site
 from authguard_r.tools.given import given_binding, trusted_site

@@ -12,9 +12,8 @@ import pwd
 from collections.abc import Iterator
 
 from authguard_r.gate.checkup.advice import Advice, Code, unsafe, warning
-from authguard_r.gate.config import GateConfig, Peer
+from authguard_r.gate.config import Disclosure, GateConfig, Peer
 from authguard_r.gate.peers import OVERFLOW_UID
-from authguard_r.shapes import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
 _APART = "give the planner a user of its own: authguard gate-config make"
