@@ -14,6 +14,7 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from authguard_r.approvals import open_approval
+from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of, unb64
 from authguard_r.core.identifiers import PrincipalId
@@ -23,7 +24,6 @@ from authguard_r.frost import signing
 from authguard_r.frost.keys import Dealt, deal, public_key
 from authguard_r.frost.messages import Nonces, SignatureShare
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, demo_members, init_folder
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from measure import Effort, Subject, Timing, interleave, timed

@@ -20,12 +20,12 @@ from authguard_r.core.principals import Endorsed, Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
+from authguard_r.enforcement.report import decision_entry
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.ledger import Act
 from authguard_r.normalize import Step, normalize
-from authguard_r.report import decision_entry
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
+from authguard_r.store.transactions import Act
 from measure import Effort, Subject, Timing, interleave, timed
 from scene import HIJACKED, Bench, bench, command, long_mission, reply, scenarios
 from yardsticks import BareInsert

@@ -14,23 +14,23 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic, perf_counter_ns, time_ns
 
-from authguard_r.assembly import assemble
+from authguard_r.access.gate_config import default_config as gate_defaults
 from authguard_r.client import GateClient
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.standing import Outcome
-from authguard_r.gate.config import default_config as gate_defaults
-from authguard_r.gate.process import DELAY_MS
-from authguard_r.gate.proposals import Keeper, Kept
+from authguard_r.enforcement.leases import WATCH_MS
+from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, normalize
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.refusals import RefusalPolicy
-from authguard_r.report import Report
-from authguard_r.running import WATCH_MS
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, default_config
+from authguard_r.server.process import DELAY_MS
+from authguard_r.server.proposals import Keeper, Kept
+from authguard_r.server.wiring import assemble
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
+from authguard_r.store.refusals import RefusalPolicy
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import ClientRole, Kind, Mode
 from durable import row_size

@@ -16,10 +16,11 @@ from urllib.parse import urlsplit
 import apsw
 
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, Checkpoints
+from authguard_r.anchoring.sealing import Reader
 from authguard_r.anchoring.witnesses import cosignature, exchange, request
-from authguard_r.audit.boxes import DataClass
 from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import NoteKey, read_key
+from authguard_r.audit.sealed_envelopes import DataClass
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.cli.replay import Replay
 from authguard_r.core.standing import Outcome
@@ -29,11 +30,10 @@ from authguard_r.keys.readers import new_reader
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import normalize
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.sealing import Reader
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.store.sqlite import open_store, read_rows
-from authguard_r.witness.desk import make_witness, register
 from authguard_r.witness.server import PATH
+from authguard_r.witness.service import make_witness, register
 from durable import MID, row_size
 from fixtures.witness_process import served
 from log_figures import TRIGGERS

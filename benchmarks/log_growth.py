@@ -23,19 +23,19 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from authguard_r.anchoring.notary import Notary
+from authguard_r.anchoring.checkpoint_scheduler import Notary
+from authguard_r.anchoring.sealing import Reader, SealingPolicy
+from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
-from authguard_r.audit.pieces import usable_jobs, verify_in_pieces
+from authguard_r.audit.parallel import usable_jobs, verify_in_pieces
 from authguard_r.audit.record import Entry
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.audit.verify import Anchor, Row, of_checkpoint, verify_rows
 from authguard_r.core.standing import Outcome, Spend
+from authguard_r.enforcement.report import decision_entry, outcome_entry
 from authguard_r.keys.signer import folder_signer, gate_name
-from authguard_r.ledger import Act
-from authguard_r.report import decision_entry, outcome_entry
-from authguard_r.sealing import Reader, SealingPolicy
-from authguard_r.sealing.kept import hold_policy
 from authguard_r.store.sqlite import open_store, read_rows
+from authguard_r.store.transactions import Act
 from durable import MID, row_size
 from measure import Effort, Subject, Timing, interleave, timed
 from scene import Bench, bench, long_mission, scenarios

@@ -18,11 +18,11 @@ from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.identifiers import GrantId
 from authguard_r.core.standing import ApprovalRequest
 from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.normalize import normalize
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.normalize.labels import label_fields
+from authguard_r.provenance.context import ContextLedger
+from authguard_r.provenance.labels import label_fields
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
 from measure import Effort, Subject, Timing, interleave, timed

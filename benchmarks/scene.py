@@ -19,7 +19,6 @@ import msgspec
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT / "tests"))
 
-from authguard_r.assembly import Gate, assemble  # noqa: E402
 from authguard_r.core.action import Action, ActionMeta  # noqa: E402
 from authguard_r.core.decide import decide  # noqa: E402
 from authguard_r.core.decision import Decision  # noqa: E402
@@ -36,9 +35,10 @@ from authguard_r.core.token import VerifiedMission, sign_object  # noqa: E402
 from authguard_r.keys.signer import folder_signer, gate_name  # noqa: E402
 from authguard_r.keys.trust import read_trust  # noqa: E402
 from authguard_r.normalize import Binder, Step, normalize  # noqa: E402
-from authguard_r.normalize.context import ContextLedger  # noqa: E402
-from authguard_r.normalize.labels import label_fields  # noqa: E402
+from authguard_r.provenance.context import ContextLedger  # noqa: E402
+from authguard_r.provenance.labels import label_fields  # noqa: E402
 from authguard_r.safety import EnvelopeGate, default_config, safety_digest  # noqa: E402
+from authguard_r.server.wiring import Gate, assemble  # noqa: E402
 from authguard_r.sim.robot import snapshot_of  # noqa: E402
 from fixtures import gate_process, scenarios  # noqa: E402, F401 - the tests' fixtures
 
@@ -252,7 +252,7 @@ def bench(store: Store, *, trust: Any = None) -> Bench:
 
 def command(bench_: Bench, mid: str, digest: Digest, verb: str) -> bytes:
     """Return an operator's signed command about a mission's first version."""
-    from authguard_r.commands import Command, Verb
+    from authguard_r.enforcement.signed_orders import Command, Verb
 
     order = Command(
         verb=Verb(verb),

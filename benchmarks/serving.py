@@ -13,8 +13,8 @@ from pathlib import Path
 from time import time_ns
 from typing import Any
 
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.draft import Draft
+from authguard_r.authoring.compile.build import compile_draft
+from authguard_r.authoring.compile.draft import Draft
 from authguard_r.core.encoding import b64
 from authguard_r.core.quantities import Now
 from authguard_r.site.source import convert

@@ -14,12 +14,12 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.encoding import Tag, encode
 from authguard_r.core.identifiers import ObjectId, RegionId
 from authguard_r.core.mission import Guard, Mission, Row
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.keys.algorithms import Algorithm
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from scene import scenarios
 

@@ -22,14 +22,14 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from time import perf_counter_ns, time_ns
 
+from authguard_r.access.gate_config import Peer, default_config
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.token import sign_object
-from authguard_r.gate.config import Peer, default_config
-from authguard_r.gate.lane.link import start_lane
-from authguard_r.gate.lane.place import SOCKET
-from authguard_r.gate.lane.run import LaneFiles
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.estop.connection import start_lane
+from authguard_r.estop.run_folder import SOCKET
+from authguard_r.estop.startup import LaneFiles
 from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.source import read_site

@@ -26,7 +26,7 @@ import machine
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests")]
 
-from authguard_r.gate.lane.keeper import WITHIN_S  # noqa: E402
+from authguard_r.estop.supervisor import WITHIN_S  # noqa: E402
 from fixtures.gate_process import until  # noqa: E402
 from integration.stop_faults import (  # noqa: E402
     FAULTS,

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import sys
 
-from authguard_r.http import edge
-from authguard_r.listening.room import Limits
-from authguard_r.mcp import listening
+from authguard_r.integrations.http import edge
+from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.mcp import http_front
 from authguard_r.witness import server
 
 #: Every server of the package that listens on a port.
 LISTENERS: dict[str, Limits] = {
     "authguard serve": edge.LIMITS,
-    "authguard mcp --listen": listening.LIMITS,
+    "authguard mcp --listen": http_front.LIMITS,
     "authguard witness serve": server.LIMITS,
 }
 #: What each limit is called, and its unit.

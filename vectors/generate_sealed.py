@@ -23,13 +23,8 @@ from msgspec.structs import replace
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests")]
 
-from authguard_r.audit.boxes import (  # noqa: E402
-    SEALING,
-    Cover,
-    DataClass,
-    append_covered,
-    opened,
-)
+from authguard_r.anchoring.sealing import KeyRing  # noqa: E402
+from authguard_r.anchoring.sealing.wraps import Wrapped, WrappedFor  # noqa: E402
 from authguard_r.audit.record import (  # noqa: E402
     BOX,
     WRAP,
@@ -40,12 +35,17 @@ from authguard_r.audit.record import (  # noqa: E402
     read_sealed,
     without,
 )
+from authguard_r.audit.sealed_envelopes import (  # noqa: E402
+    SEALING,
+    Cover,
+    DataClass,
+    append_covered,
+    opened,
+)
 from authguard_r.audit.verify import Row, verify_rows  # noqa: E402
 from authguard_r.core.encoding import b64, encode, encode_fast, unb64  # noqa: E402
 from authguard_r.core.errors import AuthGuardError  # noqa: E402
 from authguard_r.keys.readers import ReaderKey  # noqa: E402
-from authguard_r.sealing import KeyRing  # noqa: E402
-from authguard_r.sealing.wraps import Wrapped, WrappedFor  # noqa: E402
 from fixtures.small_logs import ROBOT, START_MS, Pages  # noqa: E402
 
 Json = dict[str, Any]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from authguard_r.adapters import Guard, NotDone
+from authguard_r.integrations.functions import Guard, NotDone
 
 HOSPITAL = Path(__file__).resolve().parent.parent / "hospital"
 

@@ -18,8 +18,8 @@ from inspect_ai.dataset import Sample
 from inspect_ai.solver import generate, use_tools
 from inspect_ai.tool import tool
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.inspect import guard_tools
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.inspect import guard_tools
 
 
 @tool

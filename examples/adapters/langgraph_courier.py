@@ -15,8 +15,8 @@ from langchain_core.tools import BaseTool, tool
 from langgraph.graph import END, START, MessagesState, StateGraph
 from langgraph.prebuilt import ToolNode
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.langchain import guard_tools
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.langchain import guard_tools
 
 HOSPITAL = Path(__file__).resolve().parent.parent / "hospital"
 #: What the model calls: the second is what a sign on the way told it to do.

@@ -15,8 +15,8 @@ import sys
 from agents import Agent, OpenAIChatCompletionsModel, RunConfig, Runner, function_tool
 from openai import AsyncOpenAI
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.openai_agents import guard_agent
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.openai_agents import guard_agent
 
 
 @function_tool

@@ -14,8 +14,8 @@ import sys
 from pydantic_ai import Agent, RunContext, UsageLimits
 from pydantic_ai.models.openai import OpenAIChatModel
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.pydantic_ai import guard_tools
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.pydantic_ai import guard_tools
 
 
 def navigate_to(ctx: RunContext[str], destination: str, speed: float | None = None) -> str:

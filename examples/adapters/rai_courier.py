@@ -19,8 +19,8 @@ from rai.communication.ros2 import ROS2Connector, wait_for_ros2_topics
 from rai.tools.ros2 import Nav2Toolkit, ROS2CLIToolkit, ROS2Toolkit
 from rclpy.duration import Duration
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.langchain import guard_tools
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.langchain import guard_tools
 
 TWIST = {"topic": "/cmd_vel", "message_type": "geometry_msgs/msg/Twist"}
 TRIGGER = {"service_name": "/unlock", "service_type": "std_srvs/srv/Trigger"}

@@ -16,8 +16,8 @@ from langchain_core.outputs import ChatGeneration, ChatResult
 from rosa import ROSA
 from rosa.tools import ROSATools
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.langchain import guard_tools
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.langchain import guard_tools
 
 FASTER = {"node_name": "/base", "param_name": "max_speed", "param_value": "9"}
 #: What the model calls: the second and third are what a log on the robot told it to do.

@@ -41,10 +41,10 @@ from authguard_r.client.sensing import SENSORS
 from authguard_r.core.identifiers import Identifier, VariableId
 from authguard_r.core.provenance import Label
 from authguard_r.core.state import Reading, Snapshot
-from authguard_r.ros.map import Position, RosMap, read_map
-from authguard_r.ros.nodes.actuator import Actuator
-from authguard_r.ros.nodes.heartbeat import steady
-from authguard_r.ros.nodes.process import made_node
+from authguard_r.integrations.ros.map import Position, RosMap, read_map
+from authguard_r.integrations.ros.nodes.actuator import Actuator
+from authguard_r.integrations.ros.nodes.heartbeat import steady
+from authguard_r.integrations.ros.nodes.process import made_node
 from authguard_r.sim.sensors import LOOK_MS, SensorServer
 
 #: Between two steps of its wheels, in seconds; each is a message of odometry.

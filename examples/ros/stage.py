@@ -27,7 +27,7 @@ ROBOT = RobotId("courier-1")
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 90.0
 CLI = (sys.executable, "-c", "import sys; from authguard_r.cli import main; sys.exit(main())")
-NODES = "authguard_r.ros.nodes"
+NODES = "authguard_r.integrations.ros.nodes"
 #: The security of a shell that has one is not the bench's, and neither are its transports.
 _DROPPED = ("ROS_SECURITY_", "FASTDDS_", "FASTRTPS_")
 

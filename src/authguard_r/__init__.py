@@ -25,13 +25,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from authguard_r.assembly import Gate, assemble
     from authguard_r.core.action import Action
     from authguard_r.core.decision import Decision
     from authguard_r.core.mission import Mission
     from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
-    from authguard_r.enforcement import evaluate
+    from authguard_r.enforcement.enforcer import evaluate
     from authguard_r.operations.simulation import simulate
+    from authguard_r.server.wiring import Gate, assemble
 
 __all__ = [
     "Action",

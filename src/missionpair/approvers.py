@@ -19,11 +19,11 @@ from random import Random
 from msgspec import Struct
 
 from authguard_r.client import GateClient
-from authguard_r.client.questions import shown
+from authguard_r.client.approvals import shown
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import RefusedError
 from authguard_r.keys.signer import FileSigner
-from authguard_r.wire.questions import Question
+from authguard_r.wire.approval_request import Question
 
 _SPELLED = re.compile(r"(fixed|exponential|lognormal):([0-9.]+)s(?:,([0-9.]+))?")
 #: How often the script looks for requests, in seconds.

@@ -15,9 +15,9 @@ import msgspec
 
 from authguard_r.approvals import Selection, answer
 from authguard_r.audit.deviation import Weights
-from authguard_r.commands import Command, Verb
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.draft import Draft
+from authguard_r.authoring.compile.build import compile_draft
+from authguard_r.authoring.compile.draft import Draft
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.identifiers import GrantId, Identifier, RobotId
@@ -26,22 +26,22 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.token import sign_object
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.enforcement.report import Report
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ledger import Act
 from authguard_r.normalize import normalize
 from authguard_r.normalize.bind import site_spellings
 from authguard_r.normalize.binding import Binding, load_binding
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.normalize.mentions import Names
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.report import Report
+from authguard_r.provenance.context import ContextLedger
+from authguard_r.provenance.mentions import Names
 from authguard_r.safety import EnvelopeGate, SafetyConfig
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
+from authguard_r.store.transactions import Act
 
 COURIER = RobotId("courier-1")
 LIFTER = RobotId("lifter-1")

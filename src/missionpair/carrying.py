@@ -23,8 +23,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.state import AttestedState
+from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Plan, Step
-from authguard_r.report import Report
 from authguard_r.sim.robot import Executed
 from authguard_r.sim.world import DURATION
 from missionpair.bench import PLANNER, approve

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.compile.sources import given_weights
+from authguard_r.authoring.compile.sources import given_weights
 from missionpair import attackers, defenses, planners, registry, suites
 from missionpair.campaign.log import read_log
 from missionpair.campaign.run import Plan, Progress, run

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 import msgspec
 
-from authguard_r.assembly import sign_terminal
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Row, verify_rows
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import VariableId
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token, sign_object, verify_mission
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
+from authguard_r.server.wiring import sign_terminal
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.memory import MemoryStore
 from missionpair import suite

@@ -24,7 +24,7 @@ from typing import Any, Self, TypeVar
 import msgspec
 
 from authguard_r.audit.deviation import Weights
-from authguard_r.commands import Verb
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, MalformedError
@@ -36,11 +36,11 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.normalize import Plan, normalize
 from authguard_r.normalize.binding import load_binding
-from authguard_r.normalize.context import ContextLedger
 from authguard_r.operations.simulation import Simulation
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import SafetyConfig
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state, taken

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from authguard_r.anchoring.outside import BY_COUNTER, BY_STORE, SAID, Why
+from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE, SAID, Why
 from authguard_r.audit.record import read_record
-from authguard_r.cli.attend import status_lines
+from authguard_r.cli.operate import status_lines
 from authguard_r.client import stopping
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import Kind

@@ -14,14 +14,14 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.approvals.organization import OrganizationPolicy, open_policy
+from authguard_r.authoring.keys.revoking import revoke
+from authguard_r.authoring.keys.setup import Member, add_member
 from authguard_r.cli import call
 from authguard_r.cli.inputs import load_site, wall_now
 from authguard_r.core.encoding import Tag
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import sign_object
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.offline import offline_gate

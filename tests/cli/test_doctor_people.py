@@ -12,9 +12,15 @@ from typing import Any
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from authguard_r.authoring.keys.setup import (
+    Member,
+    add_member,
+    init_folder,
+    read_authority,
+    read_key,
+)
 from authguard_r.cli import call
 from authguard_r.keys.certificate import Role, build_authority
-from authguard_r.keys.setup import Member, add_member, init_folder, read_authority, read_key
 from authguard_r.keys.trust import read_certificates
 
 TODAY = datetime.now(UTC)

@@ -17,8 +17,8 @@ import yaml
 
 from authguard_r.cli import call, ros
 from authguard_r.cli.doctor_ros import rmw_advice
-from authguard_r.gate.checkup.advice import Level
-from authguard_r.ros.keystore import KEY, PRIVATE
+from authguard_r.integrations.ros.keystore import KEY, PRIVATE
+from authguard_r.operations.checkup.advice import Level
 from fixtures.ros_keystores import EXAMPLE, home, plain_map, resign
 from fixtures.scenarios import ROOT
 

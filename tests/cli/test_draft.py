@@ -14,8 +14,8 @@ import yaml
 from pytest_httpserver import HTTPServer
 
 from authguard_r import cli
+from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.cli.ask import confirm_shown, prompt
-from authguard_r.compile.answers import compile_plain
 from authguard_r.core.errors import ClarificationError
 from authguard_r.core.identifiers import Timestamp
 from authguard_r.core.quantities import Now, to_ms
@@ -222,7 +222,7 @@ def test_no_input_never_asks_and_end_of_input_stops(console: Console) -> None:
 
 def test_a_profile_of_ones_own_is_strict(console: Console, tmp_path: Path) -> None:
     own = tmp_path / "own.yaml"
-    shipped = Path(scenarios.ROOT / "src/authguard_r/drafting/defaults.yaml").read_text()
+    shipped = Path(scenarios.ROOT / "src/authguard_r/authoring/drafting/defaults.yaml").read_text()
     own.write_text(shipped.replace("force_mn: [1 N, 15 N]", "force_mn: [1 N, 12 N]"))
     code, out, _ = console(DELIVER, *GIVEN, "--profile", str(own), "--json")
     assert code == 0

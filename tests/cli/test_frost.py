@@ -16,11 +16,11 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from authguard_r.authoring.keys.setup import init_folder
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode
 from authguard_r.frost.messages import Contribution, Offer, Share, SignatureShare, read
 from authguard_r.keys.algorithms import Algorithm
-from authguard_r.keys.setup import init_folder
 from fixtures import scenarios
 from fixtures.threshold_groups import one_more, spoiled
 

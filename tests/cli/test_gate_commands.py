@@ -28,18 +28,18 @@ import typer
 
 from authguard_r.audit.verify import Row
 from authguard_r.cli import call
-from authguard_r.cli.attend import status_lines
-from authguard_r.cli.exposition import exposition
 from authguard_r.cli.gateway import RUNS, only_run
+from authguard_r.cli.operate import status_lines
 from authguard_r.cli.watch import event_line, picture
 from authguard_r.client import stopping
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import open_token
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.trust import read_trust
+from authguard_r.operations.exposition import exposition
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import Act, ClientRole, Kind
 from fixtures import scenarios

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from authguard_r.access.gate_config import open_gate_config
 from authguard_r.cli import call
-from authguard_r.gate.config import open_gate_config
 from authguard_r.keys.trust import read_trust
 from fixtures import scenarios
 from fixtures.small_witness import SmallWitness

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
+from authguard_r.access.gate_config import GateConfig, open_gate_config
+from authguard_r.anchoring.sealing import Reader, Retention
 from authguard_r.cli import call
 from authguard_r.core.mission import DataClass
-from authguard_r.gate.config import GateConfig, open_gate_config
 from authguard_r.keys.readers import new_reader
 from authguard_r.keys.trust import read_trust
-from authguard_r.sealing import Reader, Retention
 from fixtures import scenarios
 
 DAY_MS = 86_400_000

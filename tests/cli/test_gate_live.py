@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
+from authguard_r.access.gate_config import Peer
 from authguard_r.cli import call
 from authguard_r.client import AsyncGateClient, GateClient
-from authguard_r.commands import Verb
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -27,7 +27,7 @@ from authguard_r.core.errors import (
     RefusedError,
 )
 from authguard_r.core.reasons import Reason
-from authguard_r.gate.config import Peer
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios

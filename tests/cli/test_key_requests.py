@@ -66,7 +66,7 @@ class Machines:
 
     @property
     def root(self) -> str:
-        from authguard_r.keys.request import fingerprint
+        from authguard_r.authoring.keys.request import fingerprint
 
         return fingerprint(read_trust(Path("auth")).roots)
 

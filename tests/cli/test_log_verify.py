@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 
-from authguard_r.audit import pieces
+from authguard_r.audit import parallel
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Row
+from authguard_r.auditor.export_format import MAX_LINE, note_line, row_line
 from authguard_r.cli import call, log_verify
-from authguard_r.cli.exported import MAX_LINE, note_line, row_line
 from authguard_r.cli.gateway import Beside
 from authguard_r.cli.log_export import COLUMNS, cell
 from authguard_r.cli.logs import Log
@@ -285,11 +285,11 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def verify(rows: Any, *, jobs: int, anchors: Any) -> Any:
         wanted.append(jobs)
-        return pieces.verify_in_pieces(rows, jobs=jobs, anchors=anchors, alone=0)
+        return parallel.verify_in_pieces(rows, jobs=jobs, anchors=anchors, alone=0)
 
     monkeypatch.setattr(log_verify, "verify_in_pieces", verify)
-    monkeypatch.setattr(pieces, "_ROWS", 16)
-    monkeypatch.setattr(pieces, "_OWN_ROWS", 4)
+    monkeypatch.setattr(parallel, "_ROWS", 16)
+    monkeypatch.setattr(parallel, "_OWN_ROWS", 4)
     return wanted
 
 
@@ -342,7 +342,7 @@ def test_beside_a_gate_that_tells_its_log_no_process_is_started(
 def test_a_process_that_is_killed_is_said_and_the_log_is_not_called_whole(
     desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = pieces._Helper
+    real = parallel._Helper
 
     class Killed(real):  # type: ignore[misc, valid-type]
         def __init__(self) -> None:
@@ -350,7 +350,7 @@ def test_a_process_that_is_killed_is_said_and_the_log_is_not_called_whole(
             os.kill(self.process.pid, signal.SIGKILL)
             os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOWAIT)
 
-    monkeypatch.setattr(pieces, "_Helper", Killed)
+    monkeypatch.setattr(parallel, "_Helper", Killed)
     name = desk.export(ROWS, None)
     code, text = desk("audit", "verify", name, "--jobs", "2")
     assert code == 5

@@ -98,7 +98,7 @@ def test_a_plans_deviation_is_its_worst_and_its_average() -> None:
     """Source: `eq:plan-deviation`; the product's and the oracle's agree."""
     from random import Random
 
-    from authguard_r.report import average_deviation, plan_deviation
+    from authguard_r.enforcement.report import average_deviation, plan_deviation
     from fixtures.decision_cases import ALONE, decide_case
 
     plan = (*tuple(decide_case(ALONE[r](Random(1))).reasons for r in sorted(ALONE)), ())

@@ -14,7 +14,7 @@ import pytest
 from authguard_r.audit.record import Entry
 from authguard_r.cli import call
 from authguard_r.core.provenance import Label
-from authguard_r.normalize.context import Influence
+from authguard_r.provenance.context import Influence
 from authguard_r.store.sqlite import read_rows
 from fixtures import scenarios
 from fixtures import shadow_logs as logs

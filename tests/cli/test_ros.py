@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from authguard_r.cli import call, ros
-from authguard_r.ros.keystore import KEY
+from authguard_r.integrations.ros.keystore import KEY
 from fixtures.ros_keystores import EXAMPLE, example, home, resign
 
 
@@ -100,7 +100,7 @@ def test_a_keystore_that_would_not_be_sound_is_said_so(
     tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The check is other code than the maker: here the maker forgets to sign for this domain."""
-    from authguard_r.ros import keystore
+    from authguard_r.integrations.ros import keystore
 
     monkeypatch.setattr(keystore, "governance", lambda domain: keystore_of(domain + 1))
     assert call(["ros", "keystore", str(EXAMPLE), str(tmp_path / "x")]) == 4
@@ -109,6 +109,6 @@ def test_a_keystore_that_would_not_be_sound_is_said_so(
 
 def keystore_of(domain: int) -> bytes:
     """Return the governance of another domain."""
-    from authguard_r.ros.documents import governance
+    from authguard_r.integrations.ros.documents import governance
 
     return governance(domain)

@@ -21,7 +21,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.boxes import SEALING
+from authguard_r.anchoring.sealing import Reader, SealingPolicy
+from authguard_r.anchoring.sealing.sealer import Sealer
 from authguard_r.audit.record import (
     BOX,
     WRAP,
@@ -34,14 +35,13 @@ from authguard_r.audit.record import (
     read_sealed,
     without,
 )
+from authguard_r.audit.sealed_envelopes import SEALING
 from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.auditor.export_format import row_line
 from authguard_r.cli import call
-from authguard_r.cli.exported import row_line
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.mission import DataClass
 from authguard_r.keys.readers import new_reader, read_reader
-from authguard_r.sealing import Reader, SealingPolicy
-from authguard_r.sealing.sealer import Sealer
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios, shadow_logs

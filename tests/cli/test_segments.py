@@ -18,9 +18,9 @@ import pytest
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.rotation import Rotation, RotationPolicy
 from authguard_r.cli import call
-from authguard_r.gate.checkup.advice import Code
-from authguard_r.gate.checkup.logbook import store_advice
 from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.checkup.advice import Code
+from authguard_r.operations.checkup.logbook import store_advice
 from authguard_r.store.segments import name_of
 from authguard_r.store.sqlite import SqliteStore, open_store
 from conformance.test_vectors_log import NODE, VERIFIER, needs_node

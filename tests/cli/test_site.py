@@ -15,10 +15,10 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
+from authguard_r.authoring.keys.setup import AUTHORITIES
 from authguard_r.cli import call
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.keys.certificate import build_authority, build_leaf, build_root
-from authguard_r.keys.setup import AUTHORITIES
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import site_digest
 from fixtures import scenarios

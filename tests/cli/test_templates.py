@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from authguard_r.cli import call
-from authguard_r.compile.confirmation import How
+from authguard_r.enforcement.confirmation import How
 from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]

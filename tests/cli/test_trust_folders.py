@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.keys.request import fingerprint
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode_fast
 from authguard_r.keys.envelope import is_sealed
-from authguard_r.keys.request import fingerprint
 from authguard_r.keys.trust import read_trust
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate

@@ -17,8 +17,8 @@ from authguard_r.approvals.organization import OrganizationPolicy, policy_digest
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.json_views import action_json
 from authguard_r.keys.signer import folder_signer
-from authguard_r.shapes import action_json
 from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]

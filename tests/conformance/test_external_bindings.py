@@ -13,15 +13,15 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.binding.check import BindingReport, check_binding
+from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ways
-from authguard_r.normalize.check import BindingReport, check_binding
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.interface import Surface, read_interface
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_interface
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from authguard_r.authoring.binding.check import check_binding
+from authguard_r.authoring.onboarding.listing import Source
+from authguard_r.authoring.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.core.identifiers import RobotId
 from authguard_r.normalize.binding import Binding
-from authguard_r.normalize.check import check_binding
 from authguard_r.normalize.interface import read_interface
-from authguard_r.onboarding.listing import Source
-from authguard_r.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.site.source import convert, read_yaml
 
 ROOT = Path(__file__).resolve().parent.parent.parent

@@ -23,7 +23,7 @@ from authguard_r.core.identifiers import is_identifier
 from authguard_r.core.mission import Mission, Row, require_schema
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, normalize
-from authguard_r.normalize.context import ContextLedger
+from authguard_r.provenance.context import ContextLedger
 from fixtures import scenarios
 
 ROOT = Path(__file__).resolve().parent.parent.parent

@@ -22,7 +22,7 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.moving import Mover
+from authguard_r.store.segment_mover import Mover
 from authguard_r.store.segments import name_of
 from authguard_r.store.sqlite import SqliteStore, open_store, read_held, read_rows
 from fixtures.segmented_stores import SECRET, copying, fill, note, rotate

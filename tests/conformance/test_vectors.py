@@ -29,12 +29,12 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import DECIDED, Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import index_mission, verify_mission
+from authguard_r.enforcement.templates import Instance, Template, covered
+from authguard_r.enforcement.templates import require_sound as require_sound_template
 from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.revocation import read_list
 from authguard_r.keys.trust import ROOT_LISTS, Trust
 from authguard_r.normalize import Binder, normalize
-from authguard_r.templates import Instance, Template, covered
-from authguard_r.templates import require_sound as require_sound_template
 from authguard_r.wire import messages
 from authguard_r.wire.frames import FrameReader, raw_frame, read_body
 from authguard_r.wire.messages import Kind

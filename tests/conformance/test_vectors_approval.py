@@ -15,6 +15,7 @@ import msgspec
 
 import authguard_reference as oracle
 from authguard_r.approvals import open_approval
+from authguard_r.approvals.requests import Asked, why_not
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decide import decide
@@ -25,7 +26,6 @@ from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission, index_mission
-from authguard_r.questions import Asked, why_not
 from fixtures import scenarios
 from fixtures.cases import case
 from fixtures.vectors import attested, facts_from, load, named, trust_in

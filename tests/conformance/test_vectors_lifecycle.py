@@ -14,7 +14,6 @@ from msgspec.structs import replace
 
 import authguard_reference as oracle
 import authguard_reference.standing as oracle_standing
-from authguard_r.commands import Verb
 from authguard_r.core.action import Action
 from authguard_r.core.decide import decide
 from authguard_r.core.encoding import Tag, digest_of
@@ -23,8 +22,9 @@ from authguard_r.core.lifecycle import Event, Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import Standing, advance
-from authguard_r.issued import registered
-from authguard_r.report import Report
+from authguard_r.enforcement.report import Report
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.store.issued_missions import registered
 from fixtures import decision_cases, scenarios
 from fixtures.cases import case
 from fixtures.restarting_gate import Station, go

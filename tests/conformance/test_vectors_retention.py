@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.anchoring.sealing import SealingPolicy
 from authguard_r.audit.record import BOX
 from authguard_r.audit.verify import Row
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import DataClass, Mission
 from authguard_r.core.quantities import to_ms
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.operations.simulation import Simulation
-from authguard_r.sealing import SealingPolicy
 from fixtures import scenarios, sealed_logs
 from fixtures.cases import case
 from fixtures.vectors import load, named, refusal

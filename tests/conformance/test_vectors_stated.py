@@ -12,7 +12,7 @@ from typing import Any
 from msgspec.json import encode
 from msgspec.structs import replace
 
-from authguard_r.compile.units import to_integer
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.normalize.stated import normalize_stated, read_free_text
 from authguard_r.site.model import Site

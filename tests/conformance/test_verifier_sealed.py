@@ -17,11 +17,11 @@ from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.audit.note import signature_lines
 from authguard_r.audit.record import BOX
 from authguard_r.cli import call
-from authguard_r.commands import Verb
 from authguard_r.core.mission import DataClass
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation
-from authguard_r.store.moving import Mover
+from authguard_r.store.segment_mover import Mover
 from authguard_r.store.sqlite import SqliteStore
 from conformance.test_vectors_log import needs_node, node
 from fixtures import scenarios, sealed_logs

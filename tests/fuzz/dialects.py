@@ -18,10 +18,10 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 SECONDS_FOR_ONE = 1
 
 with atheris.instrument_imports(include=["authguard_r.normalize"]):
+    from authguard_r.authoring.binding.samples import probe_site
     from authguard_r.core.errors import ClarificationError, MalformedError
     from authguard_r.normalize import Binder, Dialect, normalize
     from authguard_r.normalize.binding import Binding, load_binding
-    from authguard_r.normalize.samples import probe_site
     from authguard_r.normalize.shipped import binding_source, shipped_names
     from authguard_r.site.source import convert, read_site, read_text, read_yaml
     from authguard_r.site.words import standard_words

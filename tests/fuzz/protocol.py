@@ -22,8 +22,8 @@ SECONDS_FOR_ONE = 10
 #: Inputs that one gate gets; its log is kept in memory.
 FOR_ONE_GATE = 2_000
 
-with atheris.instrument_imports(include=["authguard_r.wire", "authguard_r.gate"]):
-    import authguard_r.gate.service  # noqa: F401 - instrumented at its import
+with atheris.instrument_imports(include=["authguard_r.wire", "authguard_r.server"]):
+    import authguard_r.server.service  # noqa: F401 - instrumented at its import
     from authguard_r.audit.record import read_record
     from authguard_r.core.errors import MalformedError
     from authguard_r.wire.frames import Frame, FrameReader, raw_frame, read_body

@@ -21,11 +21,11 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
+from authguard_r.enforcement.enforcer.management import answers
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from authguard_r import enforcement
 from authguard_r.approvals import open_approval
 from authguard_r.approvals.preapprovals import VerifiedApprovals
 from authguard_r.core import decide as gate
@@ -38,13 +38,13 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.intake import Intake
+from authguard_r.enforcement.enforcer import enforcer
+from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.report import Report
 from authguard_r.keys import trust as keys
 from authguard_r.keys.algorithms import PrivateKey
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import FileSigner, open_key_file
-from authguard_r.management import answers
-from authguard_r.report import Report
 from authguard_reference.approval import scope_of, situation_of
 from authguard_reference.risk import rho
 from fixtures import approvals, scenarios
@@ -570,7 +570,7 @@ BETWEEN: dict[str, Callable[[Game], Callable[[], None]]] = {
 
 def crash(game: Game) -> None:
     """Kill the gate; the issuer lets the mission go on, as it must before anything is released."""
-    from authguard_r.commands import Verb
+    from authguard_r.enforcement.signed_orders import Verb
 
     game.here.kill()
     resume = game.here.order(mission(game.version), Verb.RESUME)
@@ -743,9 +743,9 @@ def never_over() -> Any:
 
 
 def kept_open() -> Any:
-    real = enforcement.reserve
+    real = enforcer.reserve
     return patch.object(
-        enforcement,
+        enforcer,
         "reserve",
         lambda standing, *rest, **more: replace(
             real(standing, *rest, **more), requests=standing.requests

@@ -23,15 +23,15 @@ import apsw
 import msgspec
 import pytest
 
-from authguard_r.assembly import sign_terminal
 from authguard_r.audit.note import NoteKey
 from authguard_r.audit.record import BOX, WRAP, Sealed, Terminal, read_record, read_sealed
 from authguard_r.audit.verify import Row, Verification, of_checkpoint, verify_rows
-from authguard_r.cli.exported import note_line, row_line
+from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli.log_reading import reading
 from authguard_r.core.encoding import Tag, encode_fast
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token
+from authguard_r.server.wiring import sign_terminal
 from authguard_r.store.sqlite import open_store
 from authguard_r.witness.rules import Finding, Log
 from fixtures import scenarios

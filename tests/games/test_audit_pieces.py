@@ -12,7 +12,7 @@ from functools import cache
 
 import pytest
 
-from authguard_r.audit import pieces
+from authguard_r.audit import parallel
 from authguard_r.audit.verify import Row, Verification, Verifier, verify_piece, verify_rows
 from fixtures.audit_game import Auditor, Genuine, auditor, genuine
 from fixtures.tampering import ATTACKS, destroy_all
@@ -69,12 +69,12 @@ def test_no_attack_escapes_the_processes_together(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = log()
-    monkeypatch.setattr(pieces, "_ROWS", PIECE)
-    monkeypatch.setattr(pieces, "_OWN_ROWS", 2)
+    monkeypatch.setattr(parallel, "_ROWS", PIECE)
+    monkeypatch.setattr(parallel, "_OWN_ROWS", 2)
     known = auditor(of, kept=of.size).knows()
     made = ATTACKS[name].make(list(of.rows), of.size // 3)
     assert made is not None
-    found = pieces.verify_in_pieces(iter(made), jobs=2, anchors=known, alone=0)
+    found = parallel.verify_in_pieces(iter(made), jobs=2, anchors=known, alone=0)
     assert found == verify_rows(made, anchors=known)
     assert not found.whole
 

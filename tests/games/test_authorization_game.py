@@ -18,7 +18,6 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, b64, decode, digest_of, unb64
 from authguard_r.core.errors import AuthGuardError
@@ -27,7 +26,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import Token, VerifiedMission, sign_object, verify_mission
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust, read_trust

@@ -19,7 +19,6 @@ from unittest.mock import patch
 import pytest
 
 from authguard_r.approvals import Selection, answer
-from authguard_r.commands import Command, StoreClaim, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of, unb64
@@ -29,12 +28,13 @@ from authguard_r.core.lifecycle import TERMINAL, TRANSITIONS, Event, Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.gate import proposals as proposals_module
-from authguard_r.gate.config import Disclosure
-from authguard_r.gate.proposals import Keeper, Kept, Proposals
-from authguard_r.ledger import Act, Ledger
-from authguard_r.report import Report
+from authguard_r.enforcement.report import Report
+from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
+from authguard_r.server import proposals as proposals_module
+from authguard_r.server.proposals import Keeper, Kept, Proposals
 from authguard_r.store.memory import MemoryStore
+from authguard_r.store.transactions import Act, Ledger
+from authguard_r.wire.disclosure import Disclosure
 from fixtures import scenarios
 from fixtures.restarting_gate import Station, copied, go, signer, way
 from missionpair.ablation import without

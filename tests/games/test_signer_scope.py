@@ -18,7 +18,7 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, Verb
+from authguard_r.authoring.keys.setup import Member, add_member, init_folder
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError
@@ -26,8 +26,8 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, add_member, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation, simulate
 from fixtures import scenarios, templates

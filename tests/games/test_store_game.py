@@ -18,7 +18,7 @@ from itertools import combinations, product
 import pytest
 from msgspec import Struct
 
-from authguard_r.anchoring.notary import NotaryPolicy
+from authguard_r.anchoring.checkpoint_scheduler import NotaryPolicy
 from authguard_r.core.reasons import Reason
 from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore

@@ -15,17 +15,17 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Verb
+from authguard_r.authoring.keys.setup import Member, add_member
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Endorsement, Token, read_token, sign_object
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.enforcement.templates import KeptTemplate
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation
-from authguard_r.templates import KeptTemplate
 from fixtures import scenarios, templates
 from fixtures.templates import SET, edited, instance, signed, token, withdrawal
 
@@ -441,7 +441,7 @@ def revoke(at: Any, who: str) -> None:
     from cryptography import x509
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-    from authguard_r.keys.setup import write_revocations
+    from authguard_r.authoring.keys.setup import write_revocations
 
     leaf = x509.load_pem_x509_certificates((at / "keys" / f"{who}.cert.pem").read_bytes())[0]
     key = load_pem_private_key((at / "keys" / "people.key.pem").read_bytes(), None)

@@ -20,7 +20,6 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.lease import Lease
@@ -28,6 +27,7 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.ports import Flight
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation, simulate
 from fixtures import scenarios

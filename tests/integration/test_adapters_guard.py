@@ -20,9 +20,9 @@ from typing import Any
 
 import pytest
 
-from authguard_r.adapters import Failed, Guard, NotDone, Refused, Repeated, functions
 from authguard_r.client import GateClient
 from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
+from authguard_r.integrations.functions import Failed, Guard, NotDone, Refused, Repeated, functions
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios

@@ -31,9 +31,9 @@ from langgraph.prebuilt import InjectedState, ToolNode, ToolRuntime
 from langgraph.types import Command
 from pydantic import BaseModel
 
-from authguard_r.adapters import Guard, Refused
-from authguard_r.adapters.langchain import GuardedTool, _fields, guard_tools
 from authguard_r.core.errors import MalformedError
+from authguard_r.integrations.functions import Guard, Refused
+from authguard_r.integrations.functions.langchain import GuardedTool, _fields, guard_tools
 from authguard_r.wire.messages import Mode
 from fixtures.gate_process import until
 from fixtures.guarded_tools import SCOPE, SIGN, Courier, courier, often, shared_courier

@@ -32,9 +32,9 @@ from agents import (
 from agents.tool_context import ToolContext
 from openai import AsyncOpenAI
 
-from authguard_r.adapters import Failed, Guard
-from authguard_r.adapters.openai_agents import guard_agent, guard_tools
 from authguard_r.core.errors import MalformedError
+from authguard_r.integrations.functions import Failed, Guard
+from authguard_r.integrations.functions.openai_agents import guard_agent, guard_tools
 from authguard_r.wire.messages import Mode
 from fixtures import scenarios
 from fixtures.gate_process import until

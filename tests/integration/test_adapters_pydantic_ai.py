@@ -40,9 +40,9 @@ from pydantic_ai.toolsets import (
     WrapperToolset,
 )
 
-from authguard_r.adapters import Failed
-from authguard_r.adapters.pydantic_ai import GuardedToolset, guard_tools
 from authguard_r.core.errors import MalformedError
+from authguard_r.integrations.functions import Failed
+from authguard_r.integrations.functions.pydantic_ai import GuardedToolset, guard_tools
 from authguard_r.wire.messages import Mode
 from fixtures import scenarios
 from fixtures.gate_process import until

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from authguard_r.adapters import Failed, Guard, Refused, turns
-from authguard_r.adapters.turns import Turn, register
+from authguard_r.integrations.functions import Failed, Guard, Refused, turns
+from authguard_r.integrations.functions.turns import Turn, register
 from fixtures.guarded_tools import SCOPE, SIGN, Courier, shared_courier
 from fixtures.shared_gate import SharedGate
 

@@ -24,7 +24,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import rho
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.intake import _MOST_ANSWERS
+from authguard_r.enforcement.inputs import _MOST_ANSWERS
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer, open_key_file
 from authguard_r.normalize import normalize

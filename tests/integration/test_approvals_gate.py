@@ -17,15 +17,15 @@ import pytest
 from authguard_r.approvals.organization import OrganizationPolicy
 from authguard_r.cli import call
 from authguard_r.client import AsyncGateClient, GateClient
-from authguard_r.client.questions import shown
+from authguard_r.client.approvals import shown
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
+from authguard_r.wire.approval_request import Question
 from authguard_r.wire.messages import ClientRole
-from authguard_r.wire.questions import Question
 from fixtures import approvals, scenarios
 from fixtures.gate_process import RunningGate, until
 from fixtures.guarded_tools import shared_courier

@@ -18,7 +18,7 @@ import pytest
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.standing import Outcome
 from authguard_r.normalize import normalize
-from authguard_r.normalize.context import CHANNELS, ContextLedger
+from authguard_r.provenance.context import CHANNELS, ContextLedger
 from authguard_reference import frr
 from fixtures import scenarios
 

@@ -24,13 +24,13 @@ import msgspec
 import pytest
 
 from authguard_r.audit.verify import Row, verify_rows
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import StoreError
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, Use
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.store.sqlite import read_held, read_rows
 from fixtures import scenarios
 from integration.crash_worker import RESOLUTIONS, SCAN, Order, command, gate

@@ -16,12 +16,12 @@ import pytest
 from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
+from authguard_r.authoring.compile.answers import compile_plain
+from authguard_r.authoring.compile.card import review
+from authguard_r.authoring.drafting.chat import MAX_REPLY, AnthropicChat, OpenAIChat, Reach
+from authguard_r.authoring.drafting.models import AnthropicProposer, OpenAIProposer, parse_free_text
 from authguard_r.cli.draft import check_draft, draft_schema, read_reply
-from authguard_r.compile.answers import compile_plain
-from authguard_r.compile.card import review
 from authguard_r.core.errors import ClarificationError, EnvironmentFault, MalformedError
-from authguard_r.drafting.chat import MAX_REPLY, AnthropicChat, OpenAIChat, Reach
-from authguard_r.drafting.models import AnthropicProposer, OpenAIProposer, parse_free_text
 from fixtures import scenarios
 
 KEY = "sk-test-not-a-secret-0123"

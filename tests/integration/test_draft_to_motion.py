@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from authguard_r.compile.answers import compile_plain
+from authguard_r.authoring.compile.answers import compile_plain
+from authguard_r.authoring.drafting.profile import read_profile
+from authguard_r.authoring.drafting.template import TemplateProposer
 from authguard_r.core.action import Action
 from authguard_r.core.standing import Outcome
-from authguard_r.drafting.profile import read_profile
-from authguard_r.drafting.template import TemplateProposer
 from fixtures import scenarios
 
 SENTENCE = "Carry P1 from the pharmacy to Nurse Station 101, then return to base"

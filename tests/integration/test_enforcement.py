@@ -11,13 +11,13 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.sim.robot import Faults, snapshot_of
 from fixtures import scenarios
 from missionpair.bench import Scene, approve, make_bench, propose

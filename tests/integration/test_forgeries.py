@@ -19,10 +19,10 @@ import pytest
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.audit.verify import Row
 from authguard_r.cli import call
-from authguard_r.commands import Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.state import Snapshot
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.sim.robot import Faults
 from fixtures import scenarios
 from integration.test_enforcement import order

@@ -21,9 +21,9 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.drafting.chat import MAX_BODY
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag, digest
-from authguard_r.drafting.chat import MAX_BODY
 from authguard_r.normalize.stated import MAX_FREE_TEXT
 from fixtures import scenarios
 
@@ -387,7 +387,7 @@ def test_the_checked_plan_is_ordinary_planner_output(console: Console, tmp_path:
 
 def test_a_gate_loads_no_model_client() -> None:
     """Nor can its configuration name one: a field that it does not have refuses it."""
-    asked = "import sys, authguard_r.cli.gate, authguard_r.gate.process, authguard_r.cli.run\n"
+    asked = "import sys, authguard_r.cli.gate, authguard_r.server.process, authguard_r.cli.run\n"
     asked += "print([n for n in sys.modules if 'drafting' in n or n in ('openai', 'httpx2')])"
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=True)
     assert done.stdout.split() == [b"[]"]

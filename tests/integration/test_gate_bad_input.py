@@ -27,14 +27,14 @@ from typing import Any, Self
 
 import pytest
 
+from authguard_r.access.gate_config import Peer
 from authguard_r.core.encoding import Tag, b64, encode_fast, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
-from authguard_r.gate.clients import MOST_SHED
-from authguard_r.gate.config import Peer
 from authguard_r.keys.signer import folder_signer
+from authguard_r.server.fair_queue import MOST_SHED
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import BOUND, PROTOCOL, Attest, ClientRole, Kind

@@ -26,9 +26,9 @@ from typing import Any, Self
 import msgspec
 import pytest
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.client import GateClient
 from authguard_r.client.controller import SAMPLE_MS
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest, RobotId
@@ -37,10 +37,10 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import Outcome
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
-from authguard_r.gate.service import LOOK_S
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.enforcement.leases import WATCH_MS
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.running import WATCH_MS
+from authguard_r.server.service import LOOK_S
 from authguard_r.sim.sensors import LOOK_MS
 from authguard_r.sim.sight import MARGIN_MM
 from authguard_r.site.source import read_site

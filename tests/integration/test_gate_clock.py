@@ -19,12 +19,12 @@ from typing import Any
 
 import pytest
 
-from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
-from authguard_r.ledger import SKEW_MS
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.store.transactions import SKEW_MS
 from authguard_r.wire.messages import ClientRole, Kind, Propose
 from fixtures.gate_process import AUTHGUARD, Line, RunningGate, order, shown, until
 from integration.test_gate_watching import FAST, operator, sensors, speed, stands

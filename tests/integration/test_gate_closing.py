@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from authguard_r.client import GateClient
-from authguard_r.commands import Verb
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.wire.messages import ClientRole, Kind, Propose
 from fixtures import scenarios
 from fixtures.gate_process import Line, RunningGate, Told, order, shown, until

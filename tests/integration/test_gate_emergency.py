@@ -20,8 +20,8 @@ import msgspec
 import pytest
 
 from authguard_r.core.quantities import to_timestamp
-from authguard_r.emergency.policy import EmergencyPolicy
-from authguard_r.gate.roads import STRANGE
+from authguard_r.enforcement.emergency.policy import EmergencyPolicy
+from authguard_r.server.emergency_wiring import STRANGE
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record

@@ -25,8 +25,8 @@ from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
-from authguard_r.gate.clients import MOST_SHED
 from authguard_r.keys.signer import folder_signer
+from authguard_r.server.fair_queue import MOST_SHED
 from authguard_r.wire.frames import Frame, frame
 from authguard_r.wire.messages import Act, ClientRole, Kind, Observe, Order, Propose
 from fixtures import scenarios

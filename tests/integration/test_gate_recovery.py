@@ -21,11 +21,11 @@ import msgspec
 import pytest
 
 from authguard_r.client import GateClient
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import decode, encode_fast
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.ledger import High
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.store.transactions import High
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, order, until
 from integration.test_gate_watching import FAST, GO, connected, operator, walking

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.errors import RefusedError
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate
@@ -61,7 +61,7 @@ def test_every_record_of_a_shadow_run_says_so_and_every_step_is_judged(gate: Run
 
 @pytest.mark.smoke
 def test_shadow_is_never_the_default() -> None:
-    from authguard_r.gate.config import Peer, default_config
+    from authguard_r.access.gate_config import Peer, default_config
 
     peer = Peer(uid=1, roles=(ClientRole.PLANNER,))
     with pytest.raises(TypeError):

@@ -16,11 +16,11 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.client import AsyncGateClient, GateClient
-from authguard_r.client.steering import Steering
+from authguard_r.client.stream_handle import Steering
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest, RobotId
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.site.source import read_site
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, until

@@ -23,7 +23,11 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import answer
-from authguard_r.compile.answers import compile_plain
+from authguard_r.authoring.compile.answers import compile_plain
+from authguard_r.authoring.drafting.profile import read_profile
+from authguard_r.authoring.drafting.proposal import Proposal, Question
+from authguard_r.authoring.drafting.template import TemplateProposer
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.approval import Verdict as Answer
 from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, b64
@@ -31,17 +35,13 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
-from authguard_r.drafting.profile import read_profile
-from authguard_r.drafting.proposal import Proposal, Question
-from authguard_r.drafting.template import TemplateProposer
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding
-from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.report import Report
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert

@@ -17,9 +17,9 @@ from typing import Any
 import httpx2
 import pytest
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli import call
 from authguard_r.keys.algorithms import Algorithm
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.wire.messages import Mode
 from fixtures import commands, scenarios
 from fixtures.decision_point import (

@@ -18,7 +18,7 @@ import pytest
 
 from authguard_r.cli import call
 from authguard_r.core.mission import Mission
-from authguard_r.http.reading import plan_of
+from authguard_r.integrations.http.reading import plan_of
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
 from fixtures.decision_point import (

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.http.process import openapi
+from authguard_r.integrations.http.process import openapi
 from fixtures import scenarios
 from fixtures.decision_point import TOKEN, Served, serving
 from fixtures.gate_process import RunningGate, until

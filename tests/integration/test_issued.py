@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
+from authguard_r.access.gate_config import Peer
 from authguard_r.cli import call
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthenticityError, AuthGuardError
 from authguard_r.core.mission import Mission
-from authguard_r.gate.config import Peer
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, order, until
 

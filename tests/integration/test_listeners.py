@@ -20,8 +20,8 @@ import httpx2
 import pytest
 
 from authguard_r.client import GateClient
-from authguard_r.http import edge
-from authguard_r.listening.room import RESERVE
+from authguard_r.integrations.http import edge
+from authguard_r.integrations.http_listener.admission import RESERVE
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios, witness_process
 from fixtures.crowds import FILES, crowd, few_files, open_files

@@ -19,10 +19,10 @@ import pytest
 from mcp import Client, StdioServerParameters, stdio_client
 
 from authguard_r.core.approval import Verdict
+from authguard_r.integrations.mcp import asking as gateway_asking
+from authguard_r.integrations.mcp.process import Gateway, Setup
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
-from authguard_r.mcp import asking as gateway_asking
-from authguard_r.mcp.process import Gateway, Setup
 from authguard_r.wire.messages import ClientRole
 from fixtures import approvals, scenarios
 from fixtures.gate_process import RunningGate, authguard, environment

@@ -36,13 +36,17 @@ from authguard_r.cli import call
 from authguard_r.client import GateClient
 from authguard_r.client.link import Log
 from authguard_r.core.errors import ControllerError, EnvironmentFault
+from authguard_r.integrations.mcp import front as fronts
+from authguard_r.integrations.mcp import upstream as upstreams
+from authguard_r.integrations.mcp.front import Front, answered, fate
+from authguard_r.integrations.mcp.pins import pins_bytes, pins_of, read_pins
+from authguard_r.integrations.mcp.process import Gateway, Setup, over_stdio, serve
+from authguard_r.integrations.mcp.upstream import Upstream, listed
+from authguard_r.integrations.tools.body import Means, ToolBody
+from authguard_r.integrations.tools.endpoints import first_of
+from authguard_r.integrations.tools.planner import Asked
+from authguard_r.integrations.tools.server import CallError
 from authguard_r.keys.trust import read_trust
-from authguard_r.mcp import front as fronts
-from authguard_r.mcp import upstream as upstreams
-from authguard_r.mcp.front import Front, answered, fate
-from authguard_r.mcp.pins import pins_bytes, pins_of, read_pins
-from authguard_r.mcp.process import Gateway, Setup, over_stdio, serve
-from authguard_r.mcp.upstream import Upstream, listed
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.dialects import Call
@@ -50,10 +54,6 @@ from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.model import Site
 from authguard_r.site.source import read_site
-from authguard_r.tools.body import Means, ToolBody
-from authguard_r.tools.ends import first_of
-from authguard_r.tools.planner import Asked
-from authguard_r.tools.server import CallError
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
 from fixtures.estimator import attesting

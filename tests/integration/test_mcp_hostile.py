@@ -20,8 +20,8 @@ import httpx2
 import pytest
 
 from authguard_r.client import GateClient
-from authguard_r.mcp.pins import pins_bytes, pins_of
-from authguard_r.mcp.standard import MAX_MESSAGE
+from authguard_r.integrations.mcp.pins import pins_bytes, pins_of
+from authguard_r.integrations.mcp.standard import MAX_MESSAGE
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import PATIENCE_S, environment, until
 from fixtures.guarded_tools import often

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.mcp.standard import MAX_MESSAGE
+from authguard_r.integrations.mcp.standard import MAX_MESSAGE
 from fixtures import scenarios
 from fixtures.estimator import attesting
 from fixtures.gate_process import PATIENCE_S, RunningGate, authguard, environment

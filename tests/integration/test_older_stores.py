@@ -13,18 +13,18 @@ from pathlib import Path
 
 import pytest
 
+from authguard_r.access.gate_config import GateConfig, Peer, default_config
 from authguard_r.audit.record import read_record
+from authguard_r.authoring.compile.build import compile_draft
+from authguard_r.authoring.compile.draft import Draft
 from authguard_r.cli import call
-from authguard_r.commands import Command, Verb
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.draft import Draft
 from authguard_r.core.encoding import Tag, b64, decode, encode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import sign_object
-from authguard_r.gate.config import GateConfig, Peer, default_config
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import simulate
 from authguard_r.site.source import convert

@@ -19,11 +19,11 @@ import pytest
 from authguard_r.approvals import Selection
 from authguard_r.cli import call
 from authguard_r.client import GateClient
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.safety import default_config as default_safety
 from authguard_r.wire.messages import ClientRole

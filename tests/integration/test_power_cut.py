@@ -29,8 +29,8 @@ from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
 from authguard_r.core.standing import Outcome, Spend, Standing, Use, reserve, settle
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ledger import Act, High, Ledger
 from authguard_r.store.sqlite import SqliteStore, open_store
+from authguard_r.store.transactions import Act, High, Ledger
 from fixtures import scenarios
 
 SEED = int(os.environ.get("AUTHGUARD_SEED", "1704"))

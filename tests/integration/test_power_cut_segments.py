@@ -13,7 +13,7 @@ import random
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.errors import StoreError
 from authguard_r.store.folder import Folder
-from authguard_r.store.moving import Mover
+from authguard_r.store.segment_mover import Mover
 from authguard_r.store.segments import PART
 from authguard_r.store.sqlite import SqliteStore, open_store
 from fixtures.segmented_stores import SECRET, copying, fill

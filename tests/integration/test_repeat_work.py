@@ -21,18 +21,18 @@ import authguard_reference.templates as oracle_templates
 from authguard_r.audit.prompts import Prompts, activated, count_prompts
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of, encode, unb64
 from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import read_token, sign_object
+from authguard_r.enforcement.signed_orders import Command, Verb
+from authguard_r.enforcement.templates import combinations, expand
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ledger import Act
 from authguard_r.operations.simulation import Simulation
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.sqlite import read_held, read_rows
-from authguard_r.templates import combinations, expand
+from authguard_r.store.transactions import Act
 from fixtures import scenarios, templates
 from fixtures.decision_cases import plain_facts
 from fixtures.templates import instance, template, token

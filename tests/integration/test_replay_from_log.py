@@ -31,6 +31,8 @@ from authguard_r.audit.record import (
     read_sealed,
 )
 from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.authoring.keys.revoking import revoke
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli import call
 from authguard_r.cli.listing import Listing
 from authguard_r.cli.replay import Replay, replayed
@@ -39,8 +41,6 @@ from authguard_r.core.chain import link
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
-from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.simulation import Simulation, simulate

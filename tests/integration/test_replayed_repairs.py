@@ -11,7 +11,7 @@ import pytest
 
 from authguard_r.audit.record import Record, Sealed, read_record
 from authguard_r.audit.verify import Row
-from authguard_r.cli.replay_repairs import Repairs
+from authguard_r.auditor.replay.repairs import Repairs
 from fixtures import scenarios
 from integration.test_replay_from_log import Change, again, destroyed, forged, kinds, rows_of
 from unit.safety.test_repair_runs import AROUND, GO, mission, propose, ready

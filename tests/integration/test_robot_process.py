@@ -23,12 +23,12 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import open_token
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import frame, read_body

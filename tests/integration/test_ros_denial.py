@@ -20,7 +20,7 @@ from threading import Thread
 
 import pytest
 
-from authguard_r.ros.keystore import KEY, make_keystore
+from authguard_r.integrations.ros.keystore import KEY, make_keystore
 from fixtures.gate_process import until
 from fixtures.ros_keystores import example, home, resign
 from fixtures.scenarios import ROOT

@@ -18,12 +18,12 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.keys.signer import read_signer
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios

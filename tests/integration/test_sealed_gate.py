@@ -16,12 +16,12 @@ from authguard_r.audit.record import BOX, WRAP
 from authguard_r.audit.verify import Row
 from authguard_r.cli.logs import open_log
 from authguard_r.cli.replay import Replay
-from authguard_r.commands import Verb
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.mission import DataClass, Mission
 from authguard_r.core.quantities import to_ms
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from fixtures import approvals, scenarios, sealed_logs

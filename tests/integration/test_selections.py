@@ -15,12 +15,12 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record, read_sealed
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, Verb
 from fixtures import scenarios
 
 ROWS = [

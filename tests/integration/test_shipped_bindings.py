@@ -15,6 +15,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.authoring.binding.samples import Sampler
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import MalformedError
@@ -23,16 +25,14 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, Way, ways
-from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
-from authguard_r.normalize.samples import Sampler
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.operations.simulation import Simulation, simulate
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.check import faults

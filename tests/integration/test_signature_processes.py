@@ -14,13 +14,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from authguard_r.authoring.keys.setup import init_folder
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import read_token
 from authguard_r.keys.algorithms import Algorithm
-from authguard_r.keys.setup import init_folder
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios

@@ -18,12 +18,12 @@ import msgspec
 import pytest
 
 from authguard_r import safety
+from authguard_r.access.gate_config import Peer, default_config, open_gate_config
 from authguard_r.approvals import Selection, open_approval, open_selection
-from authguard_r.assembly import sign_terminal
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.audit.verify import verify_rows
-from authguard_r.client.greeting import Greeting, require_welcome
-from authguard_r.commands import Command, Verb
+from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
+from authguard_r.client.handshake import Greeting, require_welcome
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError
@@ -32,18 +32,18 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import open_token, read_token, sign_object, verify_mission
-from authguard_r.gate.config import Peer, default_config, open_gate_config
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
+from authguard_r.enforcement.signed_orders import Command, Verb
+from authguard_r.enforcement.templates import open_template
+from authguard_r.enforcement.templates.instance import open_instance
 from authguard_r.keys.algorithms import Algorithm, algorithm_of
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, demo_members, init_folder
 from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.operations.simulation import Simulation, simulate
+from authguard_r.server.wiring import sign_terminal
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.signed import read_signed_site, sign_site
-from authguard_r.templates import open_template
-from authguard_r.templates.instance import open_instance
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Mode, Proof, Welcome
 from fixtures import scenarios, templates
 from missionpair.bench import Bench, Scene, approve, choose, order, propose

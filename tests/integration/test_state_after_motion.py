@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from authguard_r.client import GateClient
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.messages import ClientRole

@@ -21,9 +21,9 @@ from typing import Any
 import pytest
 
 from authguard_r.client import AsyncGateClient, GateClient, stopping
-from authguard_r.commands import Verb
-from authguard_r.gate.braking import PATIENCE_MS
-from authguard_r.gate.lane.keeper import WITHIN_S
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.estop.supervisor import WITHIN_S
+from authguard_r.server.braking import PATIENCE_MS
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.gate_process import Line, RunningGate, Told, authguard, environment, until

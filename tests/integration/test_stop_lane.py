@@ -16,11 +16,11 @@ from typing import Any
 
 import pytest
 
+from authguard_r.access.gate_config import Peer as Named
 from authguard_r.client.blocking import GateClient
-from authguard_r.gate.config import Peer as Named
-from authguard_r.gate.lane.journal import WINDOW
-from authguard_r.gate.lane.place import EPOCH, FIRST_SPOOL, PID, SOCKET, SPOOL, is_served
-from authguard_r.gate.lane.run import LaneFiles
+from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, PID, SOCKET, SPOOL, is_served
+from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.stop_queue import WINDOW
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import ClientRole, Kind

@@ -24,9 +24,7 @@ from typing import Any, TypeVar
 import apsw
 import pytest
 
-from authguard_r import assembly, times
 from authguard_r.audit.verify import Row, verify_rows
-from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import ClockError, StoreError
@@ -36,13 +34,16 @@ from authguard_r.core.ports import Flight, Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, advance
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.report import stop_entry
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ledger import SKEW_MS, Ledger
 from authguard_r.operations.simulation import Simulation
-from authguard_r.report import stop_entry
+from authguard_r.server import wiring
 from authguard_r.sim.robot import Faults
+from authguard_r.store import clocks
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import APPLICATION_ID, FORMAT, open_store, read_held, read_rows
+from authguard_r.store.transactions import SKEW_MS, Ledger
 from fixtures import scenarios
 
 T = TypeVar("T")
@@ -230,7 +231,7 @@ def fault(
 ) -> Iterator[tuple[Broken, Reason]]:
     """A fault and its code; every store opened from here on can be broken by it."""
     vfs = Breakable()
-    monkeypatch.setattr(assembly, "open_store", partial(open_store, vfs=vfs.name))
+    monkeypatch.setattr(wiring, "open_store", partial(open_store, vfs=vfs.name))
     yield Broken(request.param, vfs), FAULTS[request.param]
     vfs.unregister()
 
@@ -451,7 +452,7 @@ def test_a_store_on_a_read_only_disk_is_refused_until_it_can_be_written(
     before = path.read_bytes()
     vfs = ReadOnly()
     with monkeypatch.context() as patched:
-        patched.setattr(assembly, "open_store", partial(open_store, vfs=vfs.name))
+        patched.setattr(wiring, "open_store", partial(open_store, vfs=vfs.name))
         with pytest.raises(StoreError) as refused:
             scenarios.simulation(store=path)
     vfs.unregister()
@@ -524,7 +525,7 @@ def test_a_store_that_was_half_made_is_made_anew(tmp_path: Path, how: str) -> No
 def test_a_store_that_was_half_made_is_of_no_simulated_time(tmp_path: Path, how: str) -> None:
     """So nothing keeps a gate with the machine's clock from making it anew."""
     path = half_made(how, tmp_path)
-    assert isinstance(times.store_clock(path), times.SystemClock)
+    assert isinstance(clocks.store_clock(path), clocks.SystemClock)
     open_store(path).close()
 
 
@@ -680,7 +681,7 @@ def test_no_damage_to_the_file_gets_anything_but_a_store_error_out_of_it(
         path.write_bytes(damaged(filled, random.Random(f"{SEED}-{number}")))
         found = attempt(lambda: verify_rows(read_rows(path), terminal=None))
         attempt(lambda: read_held(path, "standing", MID))
-        attempt(lambda: times.store_clock(path))
+        attempt(lambda: clocks.store_clock(path))
         sim = attempt(lambda: scenarios.simulation(store=path, start_ms=LATER_MS))
         if sim is not None:
             report = scenarios.propose(sim, LOOK)  # whatever it says, it says it

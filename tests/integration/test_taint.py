@@ -23,8 +23,8 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.normalize import normalize
-from authguard_r.normalize.context import CHANNELS, ContextLedger
-from authguard_r.normalize.mentions import How
+from authguard_r.provenance.context import CHANNELS, ContextLedger
+from authguard_r.provenance.mentions import How
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.sqlite import read_rows
 from fixtures import scenarios

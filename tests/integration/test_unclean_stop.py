@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
-from authguard_r.ledger import Act
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.operations.simulation import Simulation
+from authguard_r.store.transactions import Act
 from fixtures import scenarios
 
 GO = scenarios.navigate("dock", "pharmacy")

@@ -17,9 +17,9 @@ import pytest
 
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
-from authguard_r.compile.answers import apply, compile_plain
-from authguard_r.compile.card import compare
-from authguard_r.compile.lint import LintCode, errors, lint
+from authguard_r.authoring.compile.answers import apply, compile_plain
+from authguard_r.authoring.compile.card import compare
+from authguard_r.authoring.compile.lint import LintCode, errors, lint
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, digest_of, encode_fast
 from authguard_r.core.errors import AuthGuardError, StoreError
@@ -28,9 +28,9 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.standing import Outcome
 from authguard_r.core.state import Reading, Snapshot
 from authguard_r.core.token import sign_object
-from authguard_r.ledger import Act
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.sqlite import read_rows
+from authguard_r.store.transactions import Act
 from fixtures import scenarios
 
 SET = msgspec.structs.replace

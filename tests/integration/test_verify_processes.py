@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.audit.pieces import ALONE
-from authguard_r.cli.exported import row_line
+from authguard_r.audit.parallel import ALONE
+from authguard_r.auditor.export_format import row_line
 from fixtures.small_logs import edited, log_of
 
 #: Records of a log that is long enough for others to help.

@@ -17,9 +17,9 @@ import pytest
 
 from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.audit.note import NoteKey
-from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, order, until

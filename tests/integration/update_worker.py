@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from authguard_r.ledger import Act
 from authguard_r.operations.simulation import simulate
+from authguard_r.store.transactions import Act
 from fixtures import scenarios
 
 DEAD = 9

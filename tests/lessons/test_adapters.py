@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.http.operations import operations_of
+from authguard_r.integrations.http.operations import operations_of
 from fixtures import scenarios
 from fixtures.decision_point import EVALUATION, GRANTED, serving
 from fixtures.gate_process import RunningGate, until

@@ -19,17 +19,17 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, Verb
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, encode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.gate.config import Disclosure
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
+from authguard_r.enforcement.json_views import told_json
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import Trust
-from authguard_r.shapes import told_json
+from authguard_r.wire.disclosure import Disclosure
 from fixtures import approvals, scenarios
 from fixtures.cases import case
 from fixtures.restarting_gate import Station, go, signer, trust

@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from authguard_r.core.errors import ControllerError
-from authguard_r.emergency.policy import Caller
-from authguard_r.gate.roads import STRANGE
+from authguard_r.enforcement.emergency.policy import Caller
+from authguard_r.server.emergency_wiring import STRANGE
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record

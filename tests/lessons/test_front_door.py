@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.binding.samples import probe_site
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, normalize
 from authguard_r.normalize.binding import Binding
-from authguard_r.normalize.samples import probe_site
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words

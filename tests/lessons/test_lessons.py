@@ -20,7 +20,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.keys.ed25519 import public_key
 from authguard_r.normalize import Binder, normalize
-from authguard_r.normalize.context import ContextLedger
+from authguard_r.provenance.context import ContextLedger
 from fixtures import scenarios
 from fixtures.cases import case
 from fixtures.decision_cases import (
@@ -120,9 +120,9 @@ def test_l9_a_refusal_names_field_expectation_and_finding() -> None:
 
 
 def test_l9_the_operator_gets_a_change_that_compiles_and_allows_the_action() -> None:
-    from authguard_r.compile.build import compile_draft
-    from authguard_r.compile.change import smallest_change, to_draft
-    from authguard_r.compile.draft import Draft
+    from authguard_r.authoring.compile.build import compile_draft
+    from authguard_r.authoring.compile.change import smallest_change, to_draft
+    from authguard_r.authoring.compile.draft import Draft
     from authguard_r.core.decide import decide
     from authguard_r.site.source import convert
 

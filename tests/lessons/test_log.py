@@ -15,8 +15,8 @@ import pytest
 
 from authguard_r.audit.record import Record, read_record
 from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli import call
-from authguard_r.cli.exported import note_line, row_line
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
 from authguard_r.normalize import normalize
 from authguard_r.operations.simulation import Simulation
@@ -132,7 +132,7 @@ def take(path: str, monkeypatch: pytest.MonkeyPatch) -> Simulation:
 def test_l8_every_way_in_which_something_goes_wrong_leaves_a_record(
     path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Over the gate's socket: unit/gate/test_service.py, integration/test_gate_bad_input.py."""
+    """Over the gate's socket: unit/server/test_service.py, integration/test_gate_bad_input.py."""
     last = records(take(path, monkeypatch))[-1]
     kind, reason = PATHS[path]
     assert (last.kind, last.open["reasons"][0]) == (kind, reason)

@@ -17,11 +17,11 @@ import pytest
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.cli import call
-from authguard_r.commands import Verb
 from authguard_r.core.standing import Outcome
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.integrations.tools.server import Answer
 from authguard_r.normalize.expected import TEXT, Match
 from authguard_r.store.sqlite import read_rows
-from authguard_r.tools.server import Answer
 from authguard_r.wire.messages import Act, ClientRole
 from fixtures import scenarios
 from unit.gate.demo_site import GO, House, Refused

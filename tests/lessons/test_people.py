@@ -11,15 +11,15 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import open_approval
-from authguard_r.client.questions import shown, signed_answer
+from authguard_r.client.approvals import shown, signed_answer
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.quantities import Now
-from authguard_r.gate.config import Disclosure
+from authguard_r.enforcement.json_views import told_json
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
-from authguard_r.shapes import told_json
+from authguard_r.wire.disclosure import Disclosure
 from fixtures import approvals
 from missionpair.bench import Bench, Scene, make_bench, propose
 

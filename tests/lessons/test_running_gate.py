@@ -19,15 +19,15 @@ from typing import Any
 
 import pytest
 
+from authguard_r.access.gate_config import Peer
 from authguard_r.client import GateClient
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError, RefusedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.enforcement import Enforcer
-from authguard_r.gate.config import Peer
+from authguard_r.enforcement.enforcer import Enforcer
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.messages import MAY, Attest, ClientRole, Kind, Propose
@@ -284,8 +284,8 @@ def test_l14_what_came_once_does_not_come_again_after_a_crash() -> None:
 
 
 def test_l19_no_part_of_the_stop_lane_needs_a_store_or_a_decision() -> None:
-    needed = imported("authguard_r.gate.lane.run")
-    assert {"authguard_r.gate.lane", "authguard_r.gate.lane.desk"} <= needed  # it was found
+    needed = imported("authguard_r.estop.startup")
+    assert {"authguard_r.estop", "authguard_r.estop.protocol"} <= needed  # it was found
     assert "apsw" not in needed
     slow = [
         name

@@ -15,12 +15,12 @@ from authguard_r.core.encoding import b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.standing import Outcome
-from authguard_r.gate.lane.keeper import LaneKeeper
-from authguard_r.gate.lane.place import FIRST_SPOOL, PID, SOCKET, is_served
-from authguard_r.gate.lock import hold_robot
+from authguard_r.enforcement.leases import Running
+from authguard_r.estop.run_folder import FIRST_SPOOL, PID, SOCKET, is_served
+from authguard_r.estop.supervisor import LaneKeeper
 from authguard_r.normalize import Step
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.running import Running
+from authguard_r.provenance.context import ContextLedger
+from authguard_r.server.robot_lock import hold_robot
 from fixtures import estop_fixtures, scenarios, templates
 from fixtures.templates import instance, token
 from integration.stop_faults import leaves_a_stop

@@ -31,9 +31,9 @@ if GIVEN.get("coverage"):
     os.environ["COVERAGE_PROCESS_START"] = GIVEN["coverage"]
     process_startup()
 
-from authguard_r.adapters import Guard, NotDone, turns  # noqa: E402 - after what starts to trace
-from authguard_r.adapters.inspect import authguard, guard_tools  # noqa: E402
 from authguard_r.core.errors import AuthGuardError  # noqa: E402
+from authguard_r.integrations.functions import Guard, NotDone, turns  # noqa: E402
+from authguard_r.integrations.functions.inspect import authguard, guard_tools  # noqa: E402
 
 CALLS = Path(GIVEN["calls"])
 

@@ -13,9 +13,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from authguard_r.adapters import Guard
-from authguard_r.adapters.langchain import GuardedTool, guard_tools
 from authguard_r.core.errors import MalformedError
+from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions.langchain import GuardedTool, guard_tools
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "adapters"))
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import asyncio
 import time
 
-from authguard_r.ros.latch import MS
-from authguard_r.ros.nodes.heartbeat import TURN_MS
+from authguard_r.integrations.ros.latch import MS
+from authguard_r.integrations.ros.nodes.heartbeat import TURN_MS
 
 
 class LoopWatch:

@@ -34,10 +34,10 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from test_msgs.action import Fibonacci
 
-from authguard_r.ros.map import RosMap, read_map
-from authguard_r.ros.nodes.actuator import Actuator
-from authguard_r.ros.nodes.deadman import Deadman
-from authguard_r.ros.nodes.heartbeat import (
+from authguard_r.integrations.ros.map import RosMap, read_map
+from authguard_r.integrations.ros.nodes.actuator import Actuator
+from authguard_r.integrations.ros.nodes.deadman import Deadman
+from authguard_r.integrations.ros.nodes.heartbeat import (
     Heartbeat,
     Told,
     actuation_qos,

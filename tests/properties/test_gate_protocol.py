@@ -15,7 +15,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, rule
 
-from authguard_r.gate.clients import MOST_SHED, MOST_WAITING, Client, Ring
+from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, Client, Ring
 from authguard_r.wire.frames import Frame, raw_frame
 from authguard_r.wire.messages import BOUND, ClientRole, Kind
 from fixtures.gate_fixtures import Door, Noted, enter, settle

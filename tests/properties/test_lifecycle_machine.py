@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 import authguard_reference as oracle
-from authguard_r.commands import Verb
+from authguard_r.authoring.keys.setup import read_authority, write_revocations
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -30,14 +30,14 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
-from authguard_r.issued import registered
-from authguard_r.keys.setup import read_authority, write_revocations
+from authguard_r.enforcement.leases import Running
+from authguard_r.enforcement.report import Report
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ledger import Act
 from authguard_r.normalize import Step
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.report import Report
-from authguard_r.running import Running
+from authguard_r.provenance.context import ContextLedger
+from authguard_r.store.issued_missions import registered
+from authguard_r.store.transactions import Act
 from authguard_reference.approval import fits, scope_of, situation_of
 from authguard_reference.place import guard_finding
 from authguard_reference.policy import instant_ms

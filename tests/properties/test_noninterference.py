@@ -35,7 +35,7 @@ from hypothesis.stateful import (
 
 import authguard_reference as oracle
 from authguard_r.approvals import Selection
-from authguard_r.commands import Command, Verb
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, digest_of, encode
 from authguard_r.core.errors import AuthGuardError
@@ -43,10 +43,10 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.provenance import Chooser
 from authguard_r.core.token import sign_object
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Dialect, normalize
-from authguard_r.normalize.context import CHANNELS, ContextLedger
+from authguard_r.provenance.context import CHANNELS, ContextLedger
 from authguard_r.sim.robot import snapshot_of
 from fixtures import scenarios
 from fixtures.amount import amount

@@ -20,8 +20,8 @@ from authguard_r.core.errors import EnvironmentFault, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
-from authguard_r.ledger import Act, Ledger
 from authguard_r.store.memory import MemoryStore
+from authguard_r.store.transactions import Act, Ledger
 from fixtures import scenarios
 
 

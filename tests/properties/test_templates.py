@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import authguard_reference.templates as oracle
+from authguard_r.authoring.templates.card import every_mission
 from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from authguard_r.core.principals import Principal
 from authguard_r.core.quantities import to_ms, to_timestamp
-from authguard_r.keys.trust import read_trust
-from authguard_r.templates import (
+from authguard_r.enforcement.templates import (
     Template,
     VerifiedTemplate,
     combinations,
@@ -24,7 +24,7 @@ from authguard_r.templates import (
     instantiate,
     require_sound,
 )
-from authguard_r.templates.card import every_mission
+from authguard_r.keys.trust import read_trust
 from fixtures import scenarios, templates
 from fixtures.templates import SET, edited, instance, template, token
 

@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from authguard_r.audit.note import read_key
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.witness.desk import Answer, Witness, forget, open_witness, register
+from authguard_r.witness.service import Answer, Witness, forget, open_witness, register
 from authguard_r.witness.state import read_folder
 from fixtures.witness_process import NOW_S, ORIGIN, Log, attested, make, request
 

@@ -69,7 +69,7 @@ class Guarded:
         self.deadman.says(CANCELED)
 
     def _start(self, module: str, *words: str) -> Actor:
-        name = f"authguard_r.ros.nodes.{module}"
+        name = f"authguard_r.integrations.ros.nodes.{module}"
         actor = Actor(["-m", name, str(self.map), *words, "--demo"], sys.executable)
         self._ending.callback(actor.end)
         actor.event("ready")

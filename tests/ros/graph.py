@@ -43,21 +43,21 @@ from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
 from authguard_r.client.link import Log
+from authguard_r.integrations.ros.map import parse_map
+from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.nodes.heartbeat import steady
+from authguard_r.integrations.ros.nodes.mediator import Mediator, Place, mediating
+from authguard_r.integrations.ros.nodes.values import load_type
+from authguard_r.integrations.tools.files import given_binding
 from authguard_r.keys.trust import read_trust
-from authguard_r.ros.map import parse_map
-from authguard_r.ros.names import Part
-from authguard_r.ros.nodes.heartbeat import steady
-from authguard_r.ros.nodes.mediator import Mediator, Place, mediating
-from authguard_r.ros.nodes.values import load_type
 from authguard_r.site.source import read_site
-from authguard_r.tools.given import given_binding
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, environment, module, until
 from ros.hospital import HERE
 
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 20.0
-NODE = tuple(module("authguard_r.ros.nodes.node"))
+NODE = tuple(module("authguard_r.integrations.ros.nodes.node"))
 _domains = itertools.count(1 + os.getpid() % 90)
 
 

@@ -175,7 +175,7 @@ class Running:
         self._folder = folder
         self._errors = (folder / "estimator.err").open("w")
         self.process = subprocess.Popen(
-            [*module("authguard_r.ros.nodes.estimator"), *words, *more],
+            [*module("authguard_r.integrations.ros.nodes.estimator"), *words, *more],
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,

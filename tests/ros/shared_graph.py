@@ -15,10 +15,10 @@ from pathlib import Path
 import msgspec
 from std_srvs.srv import Trigger
 
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import b64
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.mission import Mission
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.wire.messages import ClientRole
 from fixtures.estimator import attesting
 from fixtures.gate_process import RunningGate, order, until

@@ -10,7 +10,7 @@ import signal
 import threading
 from typing import Any
 
-from authguard_r.ros.nodes import loop, node
+from authguard_r.integrations.ros.nodes import loop, node
 
 #: What gets stuck of which signal.
 EXECUTORS, LOOP = signal.SIGUSR1, signal.SIGUSR2

@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_msgs.action import Fibonacci, NestedMessage
 
-from authguard_r.ros.nodes import mediator
+from authguard_r.integrations.ros.nodes import mediator
 from fixtures.gate_process import RunningGate, until
 from ros.graph import Arm, Client, Goal, Graph, Peer, Planner, Stick
 from ros.hospital import map_with_words

@@ -28,11 +28,11 @@ from std_msgs.msg import UInt64
 
 from authguard_r.client.link import Log
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.ros.latch import MS
-from authguard_r.ros.map import parse_map
-from authguard_r.ros.nodes.actuator import Actuator
-from authguard_r.ros.nodes.deadman import FORGET_MS, REST_MS, Canceler, Deadman
-from authguard_r.ros.nodes.heartbeat import (
+from authguard_r.integrations.ros.latch import MS
+from authguard_r.integrations.ros.map import parse_map
+from authguard_r.integrations.ros.nodes.actuator import Actuator
+from authguard_r.integrations.ros.nodes.deadman import FORGET_MS, REST_MS, Canceler, Deadman
+from authguard_r.integrations.ros.nodes.heartbeat import (
     DEADLINE_MS,
     TURN_MS,
     Heartbeat,

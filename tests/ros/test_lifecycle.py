@@ -32,12 +32,12 @@ from test_msgs.action import Fibonacci
 from authguard_r.client.link import Log
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
+from authguard_r.integrations.ros.map import parse_map
+from authguard_r.integrations.ros.nodes import node, process
+from authguard_r.integrations.ros.nodes.mediator import Place, mediating
+from authguard_r.integrations.ros.nodes.process import require_bench, ros_context
+from authguard_r.integrations.tools.endpoints import first_of
 from authguard_r.keys.trust import read_trust
-from authguard_r.ros.map import parse_map
-from authguard_r.ros.nodes import node, process
-from authguard_r.ros.nodes.mediator import Place, mediating
-from authguard_r.ros.nodes.process import require_bench, ros_context
-from authguard_r.tools.ends import first_of
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, until

@@ -26,9 +26,9 @@ from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
 from authguard_r.client import GateClient
-from authguard_r.commands import Verb
-from authguard_r.ros.nodes import mediator
-from authguard_r.ros.nodes.actions import GONE_S
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.integrations.ros.nodes import mediator
+from authguard_r.integrations.ros.nodes.actions import GONE_S
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, order, until
 from ros.graph import Goal, Graph, Peer, Robot, Stick

@@ -28,8 +28,8 @@ from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import NavigateToPose
 from std_srvs.srv import SetBool
 
-from authguard_r.ros.keystore import make_keystore
-from authguard_r.ros.map import read_map
+from authguard_r.integrations.ros.keystore import make_keystore
+from authguard_r.integrations.ros.map import read_map
 from fixtures.gate_process import RunningGate, environment, until
 from fixtures.packaged_robots import gate_of
 from fixtures.ros_processes import map_of

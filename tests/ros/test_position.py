@@ -35,24 +35,24 @@ from tf2_msgs.msg import TFMessage
 
 from authguard_r.client.attesting import since
 from authguard_r.client.link import Log
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.integrations.ros.map import parse_map
+from authguard_r.integrations.ros.nodes import estimator
+from authguard_r.integrations.ros.nodes.estimator import Estimate
+from authguard_r.integrations.ros.nodes.heartbeat import ALL
+from authguard_r.integrations.ros.nodes.heartbeat import Told as Without
+from authguard_r.integrations.ros.nodes.localization import Localization
+from authguard_r.integrations.ros.nodes.loop import raised, spun
+from authguard_r.integrations.ros.nodes.process import plain_node, ros_context
+from authguard_r.integrations.ros.position import Fix, Track, Why
+from authguard_r.integrations.ros.rights import rights_of
 from authguard_r.keys.envelope import seal
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ros.map import parse_map
-from authguard_r.ros.nodes import estimator
-from authguard_r.ros.nodes.estimator import Estimate
-from authguard_r.ros.nodes.heartbeat import ALL
-from authguard_r.ros.nodes.heartbeat import Told as Without
-from authguard_r.ros.nodes.localization import Localization
-from authguard_r.ros.nodes.loop import raised, spun
-from authguard_r.ros.nodes.process import plain_node, ros_context
-from authguard_r.ros.position import Fix, Track, Why
-from authguard_r.ros.rights import rights_of
 from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.world import initial_state
 from authguard_r.wire.messages import ClientRole

@@ -18,8 +18,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from authguard_r.ros.nodes.inbox import Inbox
-from authguard_r.ros.nodes.loop import MOST_WAITING, Spinner
+from authguard_r.integrations.ros.nodes.inbox import Inbox
+from authguard_r.integrations.ros.nodes.loop import MOST_WAITING, Spinner
 from ros.graph import next_domain
 
 

@@ -17,7 +17,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="an environment with ROS runs these (tests/ros/make.sh)")
 
-from authguard_r.ros.nodes import actuator, deadman
+from authguard_r.integrations.ros.nodes import actuator, deadman
 from fixtures.ros_processes import Actor, Driving, Line, Robot, Watched, move, move_by_relay
 
 #: From a fault to a base that stands and a goal that is canceled, in milliseconds.

@@ -21,8 +21,8 @@ from test_msgs.action import Fibonacci
 import ros.graph  # noqa: F401 - its imports first: they warn
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.ros.names import Part
-from authguard_r.ros.nodes.values import (
+from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.nodes.values import (
     MAX_VALUES,
     load_type,
     message_of,

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an env
 
 from geometry_msgs.msg import Twist
 
-from authguard_r.ros.nodes.velocity import StreamOutlet
+from authguard_r.integrations.ros.nodes.velocity import StreamOutlet
 from authguard_r.site.model import Profile
 from fixtures.gate_process import until
 from ros.graph import Peer, next_domain

@@ -31,22 +31,28 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String, UInt8MultiArray, UInt64
 
+from authguard_r.access.gate_config import Peer as User
 from authguard_r.client import GateClient
-from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log
+from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
-from authguard_r.gate.config import Peer as User
+from authguard_r.integrations.ros.nodes import (
+    decisions,
+    diagnostics,
+    displayed_topics,
+    status_publishers,
+    text_plans,
+)
+from authguard_r.integrations.ros.nodes.actions import Public
+from authguard_r.integrations.ros.nodes.heartbeat import actuation_qos
+from authguard_r.integrations.ros.nodes.loop import Spinner
+from authguard_r.integrations.ros.nodes.proposals import MOST
+from authguard_r.integrations.ros.nodes.values import plain_of
+from authguard_r.integrations.tools.server import WITHHELD
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.parse import MAX_TEXT
-from authguard_r.ros.nodes import decisions, diagnostics, shown, telling, words
-from authguard_r.ros.nodes.actions import Public
-from authguard_r.ros.nodes.heartbeat import actuation_qos
-from authguard_r.ros.nodes.loop import Spinner
-from authguard_r.ros.nodes.proposals import MOST
-from authguard_r.ros.nodes.values import plain_of
-from authguard_r.tools.server import WITHHELD
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import EVERY, RunningGate, Told, until
 from fixtures.packaged_robots import gate_of
@@ -242,16 +248,16 @@ def test_whatever_a_hostile_planner_writes_is_refused_and_the_next_plan_is_serve
     [b"", b"\0\1\0\0", b"\7\7" + text_as(b"x")[2:], text_as(b"x")[:-1], text_as(b"x")[:-1] + b"y"],
 )
 def test_what_is_no_text_of_dds_is_none(data: bytes) -> None:
-    heard = words.Heard(data, is_whole=True)
+    heard = text_plans.Heard(data, is_whole=True)
     with pytest.raises(MalformedError):
-        words.text_of(heard)
-    assert words.id_of(heard) == hashlib.sha256(data[8:]).hexdigest()
+        text_plans.text_of(heard)
+    assert text_plans.id_of(heard) == hashlib.sha256(data[8:]).hexdigest()
 
 
 def test_numbers_are_read_in_the_order_in_which_they_were_written() -> None:
     big = b"\0\0\0\0" + struct.pack(">I", 3) + b"hi\0"
-    assert words.text_of(words.Heard(big, is_whole=True)) == b"hi"
-    assert words.text_of(words.Heard(text_as(b"hi") + b"\0\0", is_whole=True)) == b"hi"
+    assert text_plans.text_of(text_plans.Heard(big, is_whole=True)) == b"hi"
+    assert text_plans.text_of(text_plans.Heard(text_as(b"hi") + b"\0\0", is_whole=True)) == b"hi"
 
 
 def ends(writers: tuple[Writer, ...], texts: list[str]) -> int:
@@ -472,14 +478,16 @@ def test_what_is_too_much_is_not_shown_and_what_is_no_number_is(graph: Graph) ->
 @pytest.mark.parametrize(
     "message",
     [
-        String(data="x" * shown.MAX_BYTES),
-        String(data="x" * (shown.MAX_TEXT + 1)),
-        DiagnosticArray(status=[DiagnosticStatus(name=str(n)) for n in range(shown.MAX_TEXTS + 1)]),
+        String(data="x" * displayed_topics.MAX_BYTES),
+        String(data="x" * (displayed_topics.MAX_TEXT + 1)),
+        DiagnosticArray(
+            status=[DiagnosticStatus(name=str(n)) for n in range(displayed_topics.MAX_TEXTS + 1)]
+        ),
     ],
 )
 def test_a_message_of_too_much_is_not_read(message: Any) -> None:
     with pytest.raises(MalformedError) as failed:
-        shown.read(serialize_message(message), type(message), "sign")
+        displayed_topics.read(serialize_message(message), type(message), "sign")
     assert failed.value.reason == "INPUT_TOO_LARGE"
 
 
@@ -628,7 +636,7 @@ def test_work_that_fails_is_said_and_begun_again(capsys: pytest.CaptureFixture[s
             await asyncio.Event().wait()
 
     async def live() -> None:
-        task = asyncio.create_task(telling.kept(work, Log()))
+        task = asyncio.create_task(status_publishers.kept(work, Log()))
         await asyncio.to_thread(until, lambda: len(begun) == 3, "the third time")
         task.cancel()
 

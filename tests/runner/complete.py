@@ -22,7 +22,7 @@ from runner.groups import ROOT, Group, GroupError, Groups, Run, read_groups
 PARALLEL = ("-n", "2", "--dist", "worksteal", "--instafail")
 SERIAL = ("-p", "no:xdist", "--instafail")
 #: Some lines of the ROS 2 nodes run only in a race: the nodes have a bound of their own.
-NODES, NODES_PERCENT = "*/authguard_r/ros/nodes/*", 96
+NODES, NODES_PERCENT = "*/authguard_r/integrations/ros/nodes/*", 96
 COUNTS = re.compile(r"(\d+) (passed|failed|skipped|errors?)\b")
 
 

@@ -13,9 +13,8 @@ import pytest
 
 from authguard_r.anchoring.anchor import Anchor, Reading, Why, read_counter
 from authguard_r.anchoring.counter import Counted, FileCounter, open_note, seal
-from authguard_r.assembly import assemble
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, StoreClaim, Verb
+from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import (
     AuthGuardError,
@@ -30,13 +29,14 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.offline import offline_gate
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.safety import EnvelopeGate, default_config
+from authguard_r.server.wiring import assemble
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_held
 from fixtures import scenarios

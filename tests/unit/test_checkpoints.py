@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.anchoring.checkpoint_scheduler import NotaryPolicy
 from authguard_r.anchoring.checkpoints import (
     CHECKPOINT,
     FRONTIER,
@@ -18,8 +19,7 @@ from authguard_r.anchoring.checkpoints import (
     Checkpoints,
     StoredNodes,
 )
-from authguard_r.anchoring.notary import NotaryPolicy
-from authguard_r.anchoring.outside import Why
+from authguard_r.anchoring.evidence import Why
 from authguard_r.audit.checkpoint import Checkpoint, read_checkpoint
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Entry

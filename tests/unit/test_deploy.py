@@ -231,9 +231,9 @@ def test_what_stops_a_robot_on_ros_outlives_the_gates_node() -> None:
 
 
 def test_the_processes_on_ros_start_with_security_exactly_as_they_want_it(tmp_path: Path) -> None:
-    from authguard_r.ros.keystore import make_keystore
-    from authguard_r.ros.map import read_map
-    from authguard_r.ros.security import KEYSTORE, OVERRIDE, security_faults
+    from authguard_r.integrations.ros.keystore import make_keystore
+    from authguard_r.integrations.ros.map import read_map
+    from authguard_r.integrations.ros.security import KEYSTORE, OVERRIDE, security_faults
 
     for name in ON_ROS:
         assert ros_unit(name)["EnvironmentFile"] == ["/etc/authguard-r/%i/ros.env"]

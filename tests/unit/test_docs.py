@@ -150,7 +150,7 @@ def serve(address: str) -> None:
     from authguard_r.cli import call as authguard
 
     import_module("authguard_r.cli.app").program()
-    import_module("authguard_r.compile.units").to_integer("1 m/s", "mm/s", where="warm")
+    import_module("authguard_r.authoring.compile.units").to_integer("1 m/s", "mm/s", where="warm")
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     door = socket.socket(socket.AF_UNIX)
     door.bind(f"{address}.new")

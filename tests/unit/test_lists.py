@@ -13,6 +13,8 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.approvals import answer
+from authguard_r.authoring.keys.revoking import revoke
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.approval import Verdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import (
@@ -25,13 +27,11 @@ from authguard_r.core.errors import (
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import Trust, read_certificates, read_trust
-from authguard_r.ledger import Ledger
 from authguard_r.operations.simulation import simulate
 from authguard_r.store.sqlite import open_store, read_held
+from authguard_r.store.transactions import Ledger
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios
 from fixtures.revocation_lists import next_lists
@@ -385,7 +385,7 @@ def test_a_newer_list_in_the_folder_counts_and_is_held(folder: Path) -> None:
 
 
 def key_of(folder: Path) -> str:
-    from authguard_r.management.lists import _key
+    from authguard_r.enforcement.management.lists import _key
 
     (authority,) = read_certificates(folder / "trust/authorities/people.pem")
     return _key(authority.public_bytes(Encoding.DER))

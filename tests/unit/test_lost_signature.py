@@ -17,15 +17,15 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import Selection
-from authguard_r.commands import Command, Verb
+from authguard_r.authoring.keys.revoking import revoke
+from authguard_r.authoring.keys.setup import Member, add_member, demo_members, init_folder
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import Member, add_member, demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order

@@ -233,14 +233,14 @@ def test_a_row_whose_tests_do_not_reach_its_code_would_be_seen(
     [
         (SCORE, ITS_TEST),
         # through a helper
-        ("src/authguard_r/assembly.py", GAME),
+        ("src/authguard_r/server/wiring.py", GAME),
         # through one module of ours
-        ("src/authguard_r/enforcement.py", GAME),
+        ("src/authguard_r/enforcement/enforcer.py", GAME),
         # through a package
         ("src/authguard_reference/deviation.py", "tests/unit/core/test_edges.py"),
         # as a command in this process, as one in another process, and as a program's text
         ("src/authguard_r/cli/demo.py", "tests/cli/test_cli.py"),
-        ("src/authguard_r/gate/process.py", "tests/integration/test_gate_watching.py"),
+        ("src/authguard_r/server/process.py", "tests/integration/test_gate_watching.py"),
         ("src/missionpair/tables.py", "tests/cli/test_missionpair.py"),
     ],
 )

@@ -29,8 +29,8 @@ from authguard_r.core.encoding import Tag, b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, RefusedError, StoreError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
-from authguard_r.ledger import SKEW_MS, Act, High, Ledger
-from authguard_r.refusals import (
+from authguard_r.store.memory import MemoryStore
+from authguard_r.store.refusals import (
     MOST_ENDED,
     MOST_OF_CLIENT,
     MOST_WAITING,
@@ -38,9 +38,9 @@ from authguard_r.refusals import (
     RefusalPolicy,
     Refusals,
 )
-from authguard_r.store.memory import MemoryStore
 from authguard_r.store.reserve import Reserve
 from authguard_r.store.sqlite import SqliteStore, open_store, read_held, read_rows
+from authguard_r.store.transactions import SKEW_MS, Act, High, Ledger
 
 RID = RobotId("courier-1")
 START_MS = 1_700_000_000_000

@@ -8,8 +8,8 @@ from msgspec.structs import replace
 
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import Row
+from authguard_r.auditor.replay.preapproval import PreApprovals
 from authguard_r.cli.replay import Replay
-from authguard_r.cli.replay_preapproval import PreApprovals
 from authguard_r.core.approval import PreApproval, Verdict
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.keys.trust import read_trust

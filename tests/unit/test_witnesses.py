@@ -22,9 +22,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from authguard_r.anchoring.anchor import SILENT, WHAT, Anchor
+from authguard_r.anchoring.checkpoint_scheduler import Notary, NotaryPolicy
 from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
-from authguard_r.anchoring.notary import Notary, NotaryPolicy
-from authguard_r.anchoring.outside import Why
+from authguard_r.anchoring.evidence import Why
 from authguard_r.anchoring.places import WitnessPlace, require_place
 from authguard_r.anchoring.quorum import WitnessPolicy
 from authguard_r.anchoring.witnesses import (
@@ -40,12 +40,12 @@ from authguard_r.anchoring.witnesses import (
 )
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import Note, NoteSignature, encode64, read_note, signature_lines
-from authguard_r.commands import Command, StoreClaim, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.keys.notes import cosign, verify_note
 from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore

@@ -7,7 +7,7 @@ from typing import Any
 
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.templates import covered, require_sound
+from authguard_r.enforcement.templates import covered, require_sound
 from fixtures import decision_cases, templates
 from fixtures.decision_cases import plain
 

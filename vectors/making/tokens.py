@@ -8,13 +8,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
 from authguard_r.core.encoding import Tag, b64, digest, encode_fast
 from authguard_r.core.mission import FIRST_SCHEMA, DataClass, ProtectedField
 from authguard_r.core.provenance import Label, SourceField
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, demo_members, init_folder
 from authguard_r.keys.signer import folder_signer
 from fixtures import decision_cases, scenarios
 

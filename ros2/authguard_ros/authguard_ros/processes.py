@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `ros2 run authguard_ros` starts: each process is a module of `authguard_r.ros.nodes`."""
+"""What `ros2 run authguard_ros` starts: modules of `authguard_r.integrations.ros.nodes`."""
 
 import signal
 import sys
@@ -38,7 +38,7 @@ def estimator() -> NoReturn:
 def _start(name: str) -> NoReturn:
     """Become a process; what is not installed is named, and nothing runs."""
     try:
-        process = import_module(f"authguard_r.ros.nodes.{name}")
+        process = import_module(f"authguard_r.integrations.ros.nodes.{name}")
     except ImportError as error:
         sys.stderr.write(
             f"{name}: {error}; it needs `pip install 'authguard-r[ros]'` for this Python, "

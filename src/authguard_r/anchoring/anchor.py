@@ -14,9 +14,9 @@ from contextlib import suppress
 
 from msgspec import Struct
 
+from authguard_r.anchoring.checkpoint_scheduler import Notary
 from authguard_r.anchoring.counter import Counted, Counter, open_note, seal
-from authguard_r.anchoring.notary import Notary
-from authguard_r.anchoring.outside import BY_COUNTER, SAID, Doubt, Why
+from authguard_r.anchoring.evidence import BY_COUNTER, SAID, Doubt, Why
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import (
@@ -34,7 +34,7 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.principals import Signer, Verifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
-from authguard_r.ledger import Act, Ledger
+from authguard_r.store.transactions import Act, Ledger
 
 #: Where the store holds the number of a counter that it knows of.
 KIND, KNOWN = "counter", "known"

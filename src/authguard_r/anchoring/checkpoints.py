@@ -23,7 +23,7 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import sign_text
-from authguard_r.ledger import Ledger
+from authguard_r.store.transactions import Ledger
 
 #: Where the newest note lies, and the newest that enough witnesses have cosigned.
 CHECKPOINT, NEWEST, WITNESSED = "checkpoint", "newest", "witnessed"

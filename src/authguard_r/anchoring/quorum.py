@@ -15,7 +15,7 @@ from enum import StrEnum
 from msgspec import Struct
 
 from authguard_r.anchoring.checkpoints import WITNESSED, Checkpoints
-from authguard_r.anchoring.outside import Doubt, Why
+from authguard_r.anchoring.evidence import Doubt, Why
 from authguard_r.anchoring.places import WitnessPlace, require_place
 from authguard_r.anchoring.witnesses import (
     SIZE_TYPE,

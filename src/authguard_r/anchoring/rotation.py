@@ -29,10 +29,10 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import sign_text
-from authguard_r.ledger import Ledger
 from authguard_r.store.cells import Cells
-from authguard_r.store.moving import Mover
+from authguard_r.store.segment_mover import Mover
 from authguard_r.store.sqlite import SqliteStore
+from authguard_r.store.transactions import Ledger
 
 #: The alert: what is old stays in the store, which goes on growing.
 STUCK = "the log cannot be rotated"

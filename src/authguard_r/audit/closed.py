@@ -14,8 +14,8 @@ from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from authguard_r.audit.boxes import ACT, OBJECT, PARAMS, REGIONS, classes_of
 from authguard_r.audit.record import BOX, WRAP, Record
+from authguard_r.audit.sealed_envelopes import ACT, OBJECT, PARAMS, REGIONS, classes_of
 
 #: What an action may be committed to as.
 _ACTION = ("action", ACT, OBJECT, PARAMS, REGIONS)

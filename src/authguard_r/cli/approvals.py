@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.authoring.compile.request import action_line, brief, card
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import (
     GateOption,
@@ -28,13 +29,12 @@ from authguard_r.cli.out import emit, printed
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.cli.watch import ENDED, event_line
 from authguard_r.client import GateClient
-from authguard_r.client.questions import Shown, shown
-from authguard_r.compile.request import action_line, brief, card
+from authguard_r.client.approvals import Shown, shown
 from authguard_r.core.approval import Verdict
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.signer import FileSigner
 from authguard_r.site.model import Site
-from authguard_r.wire.questions import Question
+from authguard_r.wire.approval_request import Question
 
 app = typer.Typer(
     help="Open approval requests: see them, answer them, watch them.", no_args_is_help=True

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.audit.deviation import Weights
+from authguard_r.authoring.compile.sources import given_weights
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
@@ -34,7 +35,6 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.out import decision_lines, emit, risk_policy_json, verdict_code
-from authguard_r.compile.sources import given_weights
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
@@ -44,14 +44,14 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
-from authguard_r.enforcement import evaluate
+from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.json_views import decision_json
+from authguard_r.enforcement.report import Judged
 from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.normalize.bind import site_spellings
-from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.parse import read_json
-from authguard_r.report import Judged
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, default_config
-from authguard_r.shapes import decision_json
 from authguard_r.store.sqlite import read_held
 
 

@@ -13,26 +13,26 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.assembly import sign_terminal
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Verification, verify_rows
+from authguard_r.authoring.compile.build import compile_draft
+from authguard_r.authoring.compile.draft import Draft
+from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli.inputs import JsonFlag, read_binding, read_context
 from authguard_r.cli.out import emit, report_lines
 from authguard_r.cli.run import Run, run_plan
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.draft import Draft
 from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token, sign_object
-from authguard_r.enforcement import evaluate
-from authguard_r.keys.setup import demo_members, init_folder
+from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.json_views import decision_json, report_json
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.safety import EnvelopeGate, default_config, open_config
-from authguard_r.shapes import decision_json, report_json
+from authguard_r.server.wiring import sign_terminal
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml

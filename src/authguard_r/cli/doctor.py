@@ -20,9 +20,9 @@ from authguard_r.cli.gate_peers import user_number
 from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.gate.checkup import Setup, checkup, is_safe
-from authguard_r.gate.checkup.advice import Advice, Code, Level, unsafe, warning
 from authguard_r.keys.trust import read_trust
+from authguard_r.operations.checkup import Setup, checkup, is_safe
+from authguard_r.operations.checkup.advice import Advice, Code, Level, unsafe, warning
 from authguard_r.site.check import unreviewed
 from authguard_r.site.model import Site
 

@@ -22,10 +22,8 @@ from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.token import read_token
-from authguard_r.emergency.opened import OpenedPolicy, open_emergency
-from authguard_r.gate.checkup import Setup
-from authguard_r.gate.checkup.advice import Advice, Code, fine, unsafe, warning
-from authguard_r.gate.checkup.certificates import SOON_MS
+from authguard_r.enforcement.emergency.opened import OpenedPolicy, open_emergency
+from authguard_r.enforcement.management.policy import hold_policy
 from authguard_r.keys.certificate import walk
 from authguard_r.keys.trust import (
     ROOT_LISTS,
@@ -35,12 +33,14 @@ from authguard_r.keys.trust import (
     read_file,
     read_trust,
 )
-from authguard_r.ledger import Ledger
-from authguard_r.management.policy import hold_policy
+from authguard_r.operations.checkup import Setup
+from authguard_r.operations.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.operations.checkup.certificates import SOON_MS
 from authguard_r.site.model import Site
+from authguard_r.store.clocks import SystemClock
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import read_held
-from authguard_r.times import SystemClock
+from authguard_r.store.transactions import Ledger
 
 _RISK, _EMERGENCY = "risk policy", "emergency policy"
 _SIGN = {_RISK: "authguard risk-policy sign", _EMERGENCY: "authguard emergency policy sign"}

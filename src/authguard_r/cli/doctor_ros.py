@@ -17,14 +17,21 @@ from msgspec import Struct
 
 from authguard_r.cli.ros import require_extra
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
-from authguard_r.gate.checkup import Setup
-from authguard_r.gate.checkup.advice import Advice, Code, fine, in_demonstration, unsafe, warning
-from authguard_r.gate.checkup.custody import file_advice, folder_advice
+from authguard_r.integrations.ros.calls import fitted
+from authguard_r.integrations.ros.map import RosMap, read_map
+from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.rights import rights_of
 from authguard_r.keys.trust import read_file
-from authguard_r.ros.calls import fitted
-from authguard_r.ros.map import RosMap, read_map
-from authguard_r.ros.names import Part
-from authguard_r.ros.rights import rights_of
+from authguard_r.operations.checkup import Setup
+from authguard_r.operations.checkup.advice import (
+    Advice,
+    Code,
+    fine,
+    in_demonstration,
+    unsafe,
+    warning,
+)
+from authguard_r.operations.checkup.custody import file_advice, folder_advice
 
 _MAP, _SECURITY, _KEYSTORE, _TYPES = "ros map", "ros security", "keystore", "ros types"
 _CLOCK = "rt/clock"
@@ -148,7 +155,7 @@ def _types(ros: RosMap) -> Iterator[Advice]:
         message = "no rclpy here: nobody looked whether the types of the map are installed"
         yield warning(_TYPES, Code.ROS_TYPE, message, mend="source ROS 2, and ask again")
         return
-    from authguard_r.ros.nodes.values import load_type
+    from authguard_r.integrations.ros.nodes.values import load_type
 
     items = {f"mediated.{key}.type": item.type for key, item in ros.mediated.items()}
     items |= {f"shown.{key}.type": item.type for key, item in ros.shown.items()}
@@ -169,7 +176,13 @@ def _enforced(
     ros: RosMap, named: RosParts, environment: Mapping[str, str], uid: int
 ) -> Iterator[Advice]:
     """Whether a process with these variables would be in its enclave, by its own look."""
-    from authguard_r.ros.security import DOMAIN, EXACTLY, KEYSTORE, OVERRIDE, security_faults
+    from authguard_r.integrations.ros.security import (
+        DOMAIN,
+        EXACTLY,
+        KEYSTORE,
+        OVERRIDE,
+        security_faults,
+    )
 
     enclave = named.enclave or ros.enclaves.gate
     if enclave not in rights_of(ros):
@@ -191,8 +204,8 @@ def _enforced(
 
 def _keystore(ros: RosMap, folder: Path, uid: int) -> Iterator[Advice]:
     """Whom a whole keystore lets move the robot, and who has its keys."""
-    from authguard_r.ros.keycheck import check_keystore
-    from authguard_r.ros.keystore import ENCLAVES, KEY, PRIVATE
+    from authguard_r.integrations.ros.keycheck import check_keystore
+    from authguard_r.integrations.ros.keystore import ENCLAVES, KEY, PRIVATE
 
     mend = "make a new one from the map: authguard ros keystore"
     try:
@@ -220,7 +233,7 @@ def _keystore(ros: RosMap, folder: Path, uid: int) -> Iterator[Advice]:
 
 def _owners(homes: Mapping[str, Path], uid: int) -> Iterator[Advice]:
     """Whether each key is one user's, and nobody else can put anything in a file's place."""
-    from authguard_r.ros.keystore import KEY
+    from authguard_r.integrations.ros.keystore import KEY
 
     owners: dict[int, list[str]] = {}
     for name, home in homes.items():

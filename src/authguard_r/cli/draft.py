@@ -11,6 +11,10 @@ import msgspec
 import typer
 import yaml
 
+from authguard_r.authoring.compile.draft import Draft
+from authguard_r.authoring.drafting.profile import read_profile
+from authguard_r.authoring.drafting.proposal import Proposal, Proposer, Question, clarification
+from authguard_r.authoring.drafting.template import TemplateProposer
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, may_ask
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.model_server import (
@@ -21,11 +25,7 @@ from authguard_r.cli.model_server import (
     TimeoutOption,
 )
 from authguard_r.cli.out import emit
-from authguard_r.compile.draft import Draft
 from authguard_r.core.errors import MalformedError, shown
-from authguard_r.drafting.profile import read_profile
-from authguard_r.drafting.proposal import Proposal, Proposer, Question, clarification
-from authguard_r.drafting.template import TemplateProposer
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.normalize.parse import read_json
 from authguard_r.site.source import convert, read_text
@@ -150,7 +150,7 @@ def _model(
     total_s: float,
 ) -> Proposer:
     """Return the language-model proposer that was asked for."""
-    from authguard_r.drafting.models import AnthropicProposer, OpenAIProposer
+    from authguard_r.authoring.drafting.models import AnthropicProposer, OpenAIProposer
 
     if base_url is None or model is None:
         raise typer.BadParameter(f"--proposer {name} needs --base-url and --model")

@@ -14,14 +14,14 @@ from typing import Annotated, Any
 import typer
 from msgspec import Struct, to_builtins
 
+from authguard_r.authoring.compile.draft import Quantity
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gateway import GateOption, ProofOption, Reading, connected
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.orders import signer_of
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, require_role
-from authguard_r.compile.draft import Quantity
-from authguard_r.compile.units import to_integer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import (
@@ -38,14 +38,20 @@ from authguard_r.core.identifiers import (
 from authguard_r.core.mission import Comparison, Guard
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.emergency.lint import lint_policy
-from authguard_r.emergency.opened import POLICY_ROLES, open_emergency
-from authguard_r.emergency.policy import Aim, Caller, Capability, EmergencyPolicy, Missing
+from authguard_r.enforcement.emergency.lint import lint_policy
+from authguard_r.enforcement.emergency.opened import POLICY_ROLES, open_emergency
+from authguard_r.enforcement.emergency.policy import (
+    Aim,
+    Caller,
+    Capability,
+    EmergencyPolicy,
+    Missing,
+)
+from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert, read_text, read_yaml
-from authguard_r.templates import claimed
 
 app = typer.Typer(help="What a robot may do in an emergency.", no_args_is_help=True)
 policy_app = typer.Typer(help="The signed policy.", no_args_is_help=True)

@@ -13,7 +13,7 @@ from authguard_r.cli.out import emit
 from authguard_r.cli.robot import RunOption
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.identifiers import RobotId, is_identifier
-from authguard_r.keys.opening import require_estimator
+from authguard_r.keys.key_access import require_estimator
 from authguard_r.keys.trust import read_trust
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import typer
 from msgspec import Struct
 
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.model_server import TIMEOUT_S
-from authguard_r.compile.units import to_integer
 from authguard_r.core.identifiers import ParameterId
 from authguard_r.normalize import Dialect, Plan
 from authguard_r.normalize.binding import POSE, Argument, Binding, Use, ways
@@ -61,8 +61,8 @@ class FreeTextReader(Struct, frozen=True, kw_only=True):
             ClarificationError: the text names something by a name of several things.
             EnvironmentFault: the model does not answer in time, or a part is missing.
         """
-        from authguard_r.drafting.chat import AnthropicChat, OpenAIChat, Reach
-        from authguard_r.drafting.models import parse_free_text
+        from authguard_r.authoring.drafting.chat import AnthropicChat, OpenAIChat, Reach
+        from authguard_r.authoring.drafting.models import parse_free_text
 
         text = read_free_text(data)
         reach = Reach(

@@ -6,6 +6,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
+from authguard_r.authoring.keys.authority import issue_group, require_group
+from authguard_r.authoring.keys.request import Wanted
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.frost_files import (
     group_lines,
@@ -29,12 +31,10 @@ from authguard_r.frost.keys import deal as deal_key
 from authguard_r.frost.keys import public_key, require_share
 from authguard_r.frost.messages import Contribution, Group, Offer, Plan, Secret, digest, written
 from authguard_r.frost.nonces import write_new
-from authguard_r.keys.authority import issue_group, require_group
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.ed25519 import public_key as ed25519_key
 from authguard_r.keys.envelope import is_sealed, seal
-from authguard_r.keys.opening import read_passphrase
-from authguard_r.keys.request import Wanted
+from authguard_r.keys.key_access import read_passphrase
 from authguard_r.keys.trust import read_certificates, read_file
 
 #: What a group may be: it answers, and issues nothing.

@@ -13,7 +13,6 @@ import typer
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 
-from authguard_r.assembly import Gate
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.frost_files import (
     ballot_lines,
@@ -32,7 +31,7 @@ from authguard_r.cli.inputs import wall_now
 from authguard_r.cli.offline import Kept, offline
 from authguard_r.cli.out import emit, printed
 from authguard_r.cli.sign import trust_folder_of
-from authguard_r.client.questions import shown, the_one
+from authguard_r.client.approvals import shown, the_one
 from authguard_r.core.approval import Approval, Verdict
 from authguard_r.core.encoding import Tag, decode
 from authguard_r.core.errors import AuthenticityError, RefusedError
@@ -57,10 +56,11 @@ from authguard_r.frost.messages import (
     message_of,
 )
 from authguard_r.frost.nonces import NonceStore
-from authguard_r.gate.questions import OpenQuestions
 from authguard_r.keys.loading import key_of, load_pem
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.wire.questions import Question
+from authguard_r.server.approval_requests import OpenQuestions
+from authguard_r.server.wiring import Gate
+from authguard_r.wire.approval_request import Question
 
 
 class GroupSigner(Struct, frozen=True):

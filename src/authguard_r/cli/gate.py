@@ -11,6 +11,7 @@ from typing import Annotated
 import msgspec
 import typer
 
+from authguard_r.access.gate_config import GateConfig, open_gate_config
 from authguard_r.anchoring.anchor import read_counter
 from authguard_r.anchoring.counter import Counter, FileCounter
 from authguard_r.cli.inputs import (
@@ -30,21 +31,20 @@ from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.emergency.opened import open_emergency
-from authguard_r.gate.checkup import Setup, require_safe
-from authguard_r.gate.config import GateConfig, open_gate_config
-from authguard_r.gate.lane.run import LaneFiles
-from authguard_r.gate.parts import EmergencyParts, Parts
-from authguard_r.gate.process import Rendezvous, run_gate
-from authguard_r.keys.beginning import boot_ms, token_ms
+from authguard_r.enforcement.emergency.opened import open_emergency
+from authguard_r.estop.startup import LaneFiles
+from authguard_r.keys.clock_floor import boot_ms, token_ms
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.normalize.shipped import shipped_interface
+from authguard_r.operations.checkup import Setup, require_safe
 from authguard_r.safety import SafetyConfig, default_config, open_config
+from authguard_r.server.parts import EmergencyParts, Parts
+from authguard_r.server.process import Rendezvous, run_gate
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
-from authguard_r.times import committed_ms
+from authguard_r.store.clocks import committed_ms
 
 
 def gate_command(

@@ -15,7 +15,20 @@ import typer
 from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
+from authguard_r.access.gate_config import (
+    CONFIG_ROLES,
+    GateConfig,
+    Peer,
+    default_config,
+    open_gate_config,
+    require_mediator,
+    require_segments,
+    require_witnesses,
+)
 from authguard_r.anchoring.places import WitnessPlace
+from authguard_r.anchoring.sealing import Reader, require_readers, require_retention
+from authguard_r.authoring.compile.draft import Quantity
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gate_peers import everybody, mediators_of, peers_of, user_number
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.out import emit
@@ -29,32 +42,19 @@ from authguard_r.cli.readers_form import (
 )
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
-from authguard_r.compile.draft import Quantity
-from authguard_r.compile.units import to_integer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Positive, RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.gate.checkup.advice import Advice, in_demonstration
-from authguard_r.gate.checkup.users import config_advice, user_advice, user_name
-from authguard_r.gate.config import (
-    CONFIG_ROLES,
-    Disclosure,
-    GateConfig,
-    Peer,
-    default_config,
-    open_gate_config,
-    require_mediator,
-    require_segments,
-    require_witnesses,
-)
+from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.sealing import Reader, require_readers, require_retention
+from authguard_r.operations.checkup.advice import Advice, in_demonstration
+from authguard_r.operations.checkup.users import config_advice, user_advice, user_name
 from authguard_r.site.source import convert, read_text, read_yaml
-from authguard_r.templates import claimed
+from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
 app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)

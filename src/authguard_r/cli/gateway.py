@@ -24,8 +24,8 @@ from authguard_r.core.errors import (
 from authguard_r.core.identifiers import Count, RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
+from authguard_r.enforcement.templates import TemplateStanding
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.templates import TemplateStanding
 from authguard_r.wire.messages import ClientRole
 
 T = TypeVar("T")

@@ -22,11 +22,12 @@ from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
-from authguard_r.intake import ESTIMATOR_ROLES, ISSUER_ROLES
+from authguard_r.enforcement.inputs import ESTIMATOR_ROLES, ISSUER_ROLES
+from authguard_r.integrations.tools.files import given_binding, trusted_site
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.normalize.binding import Binding
-from authguard_r.normalize.context import ContextLedger
 from authguard_r.normalize.parse import read_json
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.site.model import Site, facts_of
 from authguard_r.site.signed import is_token, read_claimed_site
 from authguard_r.site.source import (
@@ -35,7 +36,6 @@ from authguard_r.site.source import (
     parse_site,
     require_sound,
 )
-from authguard_r.tools.given import given_binding, trusted_site
 
 #: Most bytes of a context file: a day of captions, and no more than memory easily holds.
 MAX_CONTEXT = 1 << 24

@@ -9,23 +9,30 @@ from typing import Annotated
 
 import typer
 
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.mission_files import mission_digest, warn
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import trust_folder_of
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.cli.templates import SignedTemplate, read_template, template_digest
-from authguard_r.compile.units import to_integer
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.templates import (
+    Hole,
+    HoleKind,
+    Instance,
+    Template,
+    covered,
+    sign_instance,
+)
+from authguard_r.enforcement.templates.template import HoleName, Value
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
-from authguard_r.templates import Hole, HoleKind, Instance, Template, covered, sign_instance
-from authguard_r.templates.template import HoleName, Value
 
 app = typer.Typer(help="Instances of signed templates.", no_args_is_help=True)
 

@@ -13,6 +13,16 @@ from typing import Annotated
 import typer
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from authguard_r.authoring.keys.authority import issue, require_grantable, wider
+from authguard_r.authoring.keys.install import (
+    OpenedAnswer,
+    install_answer,
+    open_answer,
+    require_root,
+)
+from authguard_r.authoring.keys.request import OpenedRequest, fingerprint, open_request
+from authguard_r.authoring.keys.revoking import signing_here
+from authguard_r.authoring.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
 from authguard_r.cli.key_requests import (
@@ -29,13 +39,8 @@ from authguard_r.cli.signing_key import PassphraseFile, open_signer, passphrase_
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm
-from authguard_r.keys.authority import issue, require_grantable, wider
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.install import OpenedAnswer, install_answer, open_answer, require_root
 from authguard_r.keys.loading import load
-from authguard_r.keys.request import OpenedRequest, fingerprint, open_request
-from authguard_r.keys.revoking import signing_here
-from authguard_r.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.keys.trust import read_certificates, read_file, read_trust
 
 #: Days until the next update of a list, unless somebody says otherwise.

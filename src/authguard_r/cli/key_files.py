@@ -21,7 +21,7 @@ from authguard_r.core.errors import RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.envelope import is_sealed, seal, unseal
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.opening import read_passphrase
+from authguard_r.keys.key_access import read_passphrase
 from authguard_r.keys.pkcs11 import TokenKey
 from authguard_r.keys.signer import read_keys
 from authguard_r.keys.trust import read_file

@@ -17,6 +17,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 
+from authguard_r.authoring.keys.folder import as_given
+from authguard_r.authoring.keys.install import install_list
+from authguard_r.authoring.keys.request import fingerprint
+from authguard_r.authoring.keys.revoking import renew_lists, revoke
 from authguard_r.cli.gateway import GATE_SOCKET, GateOption, connect_as, socket_in
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.key_answers import LIST_DAYS
@@ -26,11 +30,7 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.keys.algorithms import algorithm_of
 from authguard_r.keys.certificate import Leaf
-from authguard_r.keys.folder import as_given
-from authguard_r.keys.install import install_list
-from authguard_r.keys.request import fingerprint
 from authguard_r.keys.revocation import RevocationList
-from authguard_r.keys.revoking import renew_lists, revoke
 from authguard_r.keys.trust import (
     ROOT_LISTS,
     Trust,

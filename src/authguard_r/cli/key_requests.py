@@ -13,6 +13,15 @@ from typing import Annotated, Any
 import typer
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from authguard_r.authoring.keys.request import (
+    CONFINED,
+    OF_ONE_ROBOT,
+    OpenedRequest,
+    Wanted,
+    key_fingerprint,
+    make_request,
+    open_request,
+)
 from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_keys, open_signer
@@ -23,15 +32,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, algorithm_of, generate
 from authguard_r.keys.certificate import Leaf, Role
 from authguard_r.keys.files import write_keys, write_whole
-from authguard_r.keys.request import (
-    CONFINED,
-    OF_ONE_ROBOT,
-    OpenedRequest,
-    Wanted,
-    key_fingerprint,
-    make_request,
-    open_request,
-)
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import ROOT_LISTS, pairs, read_certificates, read_trust
 from authguard_r.site.model import profile_digest

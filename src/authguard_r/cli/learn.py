@@ -12,17 +12,17 @@ import msgspec
 import typer
 
 from authguard_r.audit.verify import Row
-from authguard_r.cli.exported import exported_rows
+from authguard_r.auditor.export_format import exported_rows
+from authguard_r.authoring.onboarding.evidence import Evidence, Unused, gather
+from authguard_r.authoring.onboarding.pages import Proposals, propose, ranked, row_line
 from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import open_log
-from authguard_r.cli.opening import ReaderOption, opening_of
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.unsealing import ReaderOption, opening_of
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.onboarding.evidence import Evidence, Unused, gather
-from authguard_r.onboarding.pages import Proposals, propose, ranked, row_line
 
 _SQLITE = b"SQLite format 3\x00"
 #: How many reasons for leaving records out are printed; `--json` has every one.

@@ -17,17 +17,17 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.audit.boxes import act_of
 from authguard_r.audit.record import BOX, read_record, read_sealed
+from authguard_r.audit.sealed_envelopes import act_of
 from authguard_r.audit.verify import Row
+from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli.audit import StoreArgument
-from authguard_r.cli.exported import note_line, row_line
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import Log
-from authguard_r.cli.opening import Opening, ReaderOption, opening_of
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.unsealing import Opening, ReaderOption, opening_of
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import to_timestamp

@@ -13,7 +13,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from authguard_r.cli.logs import Log, open_log
-from authguard_r.cli.opening import Opening
+from authguard_r.cli.unsealing import Opening
 from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.reasons import Reason
 

@@ -11,21 +11,21 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.audit.boxes import SEALING, act_of
 from authguard_r.audit.closed import Closed
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
+from authguard_r.audit.sealed_envelopes import SEALING, act_of
 from authguard_r.audit.verify import Row
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
-from authguard_r.cli.opening import Opening, ReaderOption, opening_of
 from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.unsealing import Opening, ReaderOption, opening_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.safety import Hazard
-from authguard_r.gate.explain import hazards_of, repaired_by, verdict_of, who_of
+from authguard_r.server.explanation import hazards_of, repaired_by, verdict_of, who_of
 
 #: How much of a digest a line shows; `--json` has all of it.
 _SHORT = 12

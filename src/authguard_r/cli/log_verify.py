@@ -13,7 +13,7 @@ import typer
 
 from authguard_r.audit.missing import told
 from authguard_r.audit.note import read_key
-from authguard_r.audit.pieces import MOST_JOBS, usable_jobs, verify_in_pieces
+from authguard_r.audit.parallel import MOST_JOBS, usable_jobs, verify_in_pieces
 from authguard_r.audit.record import Record, read_record, read_sealed
 from authguard_r.audit.verify import Anchor, By, Row, Verification
 from authguard_r.cli.audit import StoreArgument
@@ -21,9 +21,9 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_anchors import Asked, Known, known_of
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import Log
-from authguard_r.cli.opening import Held, ReaderOption, opening_of
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.unsealing import Held, ReaderOption, opening_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import to_timestamp

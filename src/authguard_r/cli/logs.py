@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
 from authguard_r.audit.verify import Row
-from authguard_r.cli.exported import exported_note, exported_rows, is_export
+from authguard_r.auditor.export_format import exported_note, exported_rows, is_export
 from authguard_r.cli.gateway import Beside, beside_store, connect_as, told_of
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import encode, unb64

@@ -69,10 +69,10 @@ def mcp_command(
     Put it where the server's command stood in the client's configuration: the client is shown the
     bound tools, each call is decided by the gate, and only what the gate releases is called.
     """
-    from authguard_r.listening.ports import listening, read_bearer
-    from authguard_r.mcp.listening import serve_http
-    from authguard_r.mcp.pins import read_pins
-    from authguard_r.mcp.process import Setup, over_stdio, serve
+    from authguard_r.integrations.http_listener.access import listening, read_bearer
+    from authguard_r.integrations.mcp.http_front import serve_http
+    from authguard_r.integrations.mcp.pins import read_pins
+    from authguard_r.integrations.mcp.process import Setup, over_stdio, serve
 
     if (listen is None) != (bearer is None):
         text = "a port does not say who asks: give --listen with --token-file"
@@ -124,9 +124,9 @@ def mcp_tools_command(
 
     Exit code 1 when binding and server do not have the same tools: it was made for another version.
     """
-    from authguard_r.mcp.front import fate
-    from authguard_r.mcp.pins import pins_bytes
-    from authguard_r.mcp.upstream import listed
+    from authguard_r.integrations.mcp.front import fate
+    from authguard_r.integrations.mcp.pins import pins_bytes
+    from authguard_r.integrations.mcp.upstream import listed
 
     model = load_site(site)
     tools = read_binding(binding, model)

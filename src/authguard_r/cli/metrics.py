@@ -26,7 +26,7 @@ def metrics_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Print a gate's counts in the text format of Prometheus, or serve them on loopback."""
-    from authguard_r.cli.exposition import exposition, serve
+    from authguard_r.operations.exposition import exposition, serve
 
     read = _reader(gate, role, trust)
     if listen is not None:

@@ -13,6 +13,10 @@ import msgspec
 import typer
 
 from authguard_r.approvals.organization import VerifiedPolicy
+from authguard_r.authoring.compile.answers import compile_answered, read_answers
+from authguard_r.authoring.compile.card import Demand, card_digest, review
+from authguard_r.authoring.compile.difference import compare, is_next
+from authguard_r.authoring.compile.lint import Severity, finding_lines, lint
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, ask_until, may_ask
 from authguard_r.cli.inputs import (
     JsonFlag,
@@ -28,16 +32,12 @@ from authguard_r.cli.inputs import (
 from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified
 from authguard_r.cli.out import emit, risk_policy_json
 from authguard_r.cli.sign import sign_command
-from authguard_r.compile.answers import compile_answered, read_answers
-from authguard_r.compile.card import Demand, card_digest, review
-from authguard_r.compile.difference import compare, is_next
-from authguard_r.compile.lint import Severity, finding_lines, lint
-from authguard_r.compile.spoken import row_words
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site.formatting import row_words
 from authguard_r.site.source import read_text, read_yaml
 
 app = typer.Typer(help="Missions: from a draft to signed authority and back.", no_args_is_help=True)

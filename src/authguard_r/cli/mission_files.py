@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import typer
 
-from authguard_r.compile.lint import LintFinding
+from authguard_r.authoring.compile.lint import LintFinding
 from authguard_r.core.encoding import Tag, decode, digest_of, unb64
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission, require_schema

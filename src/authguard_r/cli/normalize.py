@@ -38,13 +38,13 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.token import VerifiedMission
+from authguard_r.enforcement.json_views import action_json
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, Dialect, Plan, normalize
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.normalize.labels import label_fields
 from authguard_r.normalize.parse import read_json
-from authguard_r.shapes import action_json
+from authguard_r.provenance.context import ContextLedger
+from authguard_r.provenance.labels import label_fields
 
 
 def normalize_command(

@@ -13,14 +13,14 @@ from msgspec import Struct
 
 from authguard_r.anchoring.anchor import KIND, KNOWN, known_number
 from authguard_r.anchoring.counter import Counter, FileCounter
-from authguard_r.anchoring.outside import SAID, Why
-from authguard_r.assembly import Gate
+from authguard_r.anchoring.evidence import SAID, Why
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import gate_robot, load_site
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.gate.checkup.apart import Files, apart_advice
+from authguard_r.operations.checkup.apart import Files, apart_advice
 from authguard_r.operations.offline import offline_gate
+from authguard_r.server.wiring import Gate
 from authguard_r.store.sqlite import read_held
 
 CounterOption = Annotated[

@@ -30,18 +30,18 @@ from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.offline import CounterOption, Kept, NewOption, offline
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
-from authguard_r.commands import Command, Verb
-from authguard_r.compile import spoken
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import VerifiedMission, read_token, sign_object
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
+from authguard_r.enforcement.signed_orders import Command, Verb
+from authguard_r.enforcement.templates import instantiate, open_template
 from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site import formatting
 from authguard_r.site.model import Site
-from authguard_r.templates import instantiate, open_template
 
 T = TypeVar("T")
 StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]
@@ -245,7 +245,7 @@ def row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[str
         return []
     return [
         f"{named.id}: {named.type} with {named.tool}",
-        f"  row {number}: {spoken.row(named.alternatives[number], site)}",
+        f"  row {number}: {formatting.row(named.alternatives[number], site)}",
     ]
 
 

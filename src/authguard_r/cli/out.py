@@ -23,9 +23,9 @@ from authguard_r.core.errors import (
 )
 from authguard_r.core.finding import Finding
 from authguard_r.core.standing import Outcome
-from authguard_r.normalize.context import Influence
-from authguard_r.normalize.mentions import How
-from authguard_r.report import Judged, Report
+from authguard_r.enforcement.report import Judged, Report
+from authguard_r.provenance.context import Influence
+from authguard_r.provenance.mentions import How
 
 
 def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> None:

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from authguard_r.authoring.compile.questions import Questions
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site, wall_now
 from authguard_r.cli.mission import TokenArgument
@@ -24,7 +25,6 @@ from authguard_r.cli.orders import (
     row_lines,
 )
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
-from authguard_r.compile.questions import Questions
 from authguard_r.core.approval import PreApproval
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError

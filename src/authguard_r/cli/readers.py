@@ -21,7 +21,7 @@ from authguard_r.core.mission import DataClass
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.envelope import seal
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.opening import read_passphrase
+from authguard_r.keys.key_access import read_passphrase
 from authguard_r.keys.readers import ReaderPublic, new_reader, read_reader
 
 

@@ -13,16 +13,16 @@ import typer
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.compile.draft import Quantity
-from authguard_r.compile.spoken import quantity
-from authguard_r.compile.units import to_integer
+from authguard_r.access.gate_config import GateConfig
+from authguard_r.anchoring.sealing import Reader, Retention
+from authguard_r.authoring.compile.draft import Quantity
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.mission import DataClass
-from authguard_r.gate.config import GateConfig
 from authguard_r.keys.readers import read_public
 from authguard_r.keys.trust import read_file
-from authguard_r.sealing import Reader, Retention
+from authguard_r.site.formatting import quantity
 from authguard_r.site.source import convert
 
 _DAY_MS = 86_400_000

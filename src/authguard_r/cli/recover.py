@@ -10,19 +10,19 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from authguard_r.anchoring.outside import BY_COUNTER, BY_STORE
+from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, Reading, connected
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
-from authguard_r.commands import Command, StoreClaim, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.keys.signer import FileSigner, folder_signer
 
 #: What else than a witness knows how far the log had come.

@@ -18,22 +18,22 @@ import typer
 from msgspec import Struct
 
 import authguard_reference as oracle
-from authguard_r.assembly import root_digest
 from authguard_r.audit.missing import told as told_missing
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
 from authguard_r.audit.verify import Row, Verification, verify_rows
+from authguard_r.auditor.replay.repairs import Repairs
+from authguard_r.auditor.replay.sources import FAR_MS, Forged, Inputs, Lacking, Sources
+from authguard_r.auditor.replay.text import plain
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
-from authguard_r.cli.opening import Opening, ReaderOption, opening_of
-from authguard_r.cli.replay_repairs import Repairs
-from authguard_r.cli.replay_sources import FAR_MS, Forged, Inputs, Lacking, Sources
-from authguard_r.cli.replay_words import plain
 from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.unsealing import Opening, ReaderOption, opening_of
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.server.wiring import root_digest
 
 #: What broken inputs can make of the oracle, which is written for sound ones.
 _BROKEN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)

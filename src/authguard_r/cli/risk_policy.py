@@ -19,24 +19,24 @@ from authguard_r.approvals.organization import (
     policy_digest,
     require_sound_policy,
 )
+from authguard_r.authoring.compile.draft import DraftRisk
+from authguard_r.authoring.compile.grants import Words
+from authguard_r.authoring.compile.names import names_of
+from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.totals import build_risk
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
-from authguard_r.compile import spoken
-from authguard_r.compile.draft import DraftRisk
-from authguard_r.compile.grants import Words
-from authguard_r.compile.names import names_of
-from authguard_r.compile.questions import Questions
-from authguard_r.compile.totals import build_risk
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Identifier, Positive
 from authguard_r.core.quantities import to_timestamp
+from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.site import formatting
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
-from authguard_r.templates import claimed
 
 app = typer.Typer(
     help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True
@@ -142,14 +142,14 @@ def card(policy: OrganizationPolicy) -> list[str]:
         "  counts beside every mission's own: whichever asks for more people",
         f"  from risk {own.tau_1}: 2 people; from {own.tau_2}: {own.t} people; issuer included",
         f"  may answer, where the mission names them too: {', '.join(own.roles)}",
-        f"  a request lives {spoken.duration(own.valid_ms)} at most",
+        f"  a request lives {formatting.duration(own.valid_ms)} at most",
         f"  what is not listed: {own.otherwise}; each step of privacy: {own.privacy}",
     ]
     for what, listed in weights.items():
         told = ", ".join(f"{name} {weight}" for name, weight in sorted(listed.items()))
         lines += [f"  {what}: {told}"] if told else []
     lines += [f"  {p.parameter}: {p.weight} at {p.full_scale}" for p in own.parameters]
-    lines += [f"  {s.weight} unless not {spoken.condition(s.guard)}" for s in own.states]
+    lines += [f"  {s.weight} unless not {formatting.condition(s.guard)}" for s in own.states]
     return [*lines, f"  digest {policy_digest(policy)}"]
 
 

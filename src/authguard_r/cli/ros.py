@@ -19,11 +19,11 @@ from authguard_r.cli.inputs import JsonFlag, load_site, read_binding
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.ros.calls import fitted
-from authguard_r.ros.map import RosMap, read_map
+from authguard_r.integrations.ros.calls import fitted
+from authguard_r.integrations.ros.map import RosMap, read_map
 
 if TYPE_CHECKING:
-    from authguard_r.ros.keycheck import Fault
+    from authguard_r.integrations.ros.keycheck import Fault
 
 app = typer.Typer(help="ROS 2: the map, its keystore, and what they let through.")
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="The robot's ROS map.")]
@@ -42,8 +42,8 @@ def keystore_command(
     """
     ros = read_map(ros_map)
     require_extra()
-    from authguard_r.ros.keycheck import check_keystore
-    from authguard_r.ros.keystore import ENCLAVES, PRIVATE, make_keystore
+    from authguard_r.integrations.ros.keycheck import check_keystore
+    from authguard_r.integrations.ros.keystore import ENCLAVES, PRIVATE, make_keystore
 
     enclaves = make_keystore(ros, folder)
     left = check_keystore(ros, folder)
@@ -100,8 +100,8 @@ def check_command(
     faults: list[Fault] = []
     if keystore is not None or enclave is not None:
         require_extra()
-        from authguard_r.ros.keycheck import check_keystore
-        from authguard_r.ros.security import security_faults
+        from authguard_r.integrations.ros.keycheck import check_keystore
+        from authguard_r.integrations.ros.security import security_faults
 
         faults += check_keystore(ros, keystore) if keystore is not None else ()
         faults += security_faults(ros, enclave, os.environ) if enclave is not None else ()

@@ -14,8 +14,10 @@ import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.assembly import sign_terminal
 from authguard_r.audit.deviation import Weights
+from authguard_r.authoring.compile.card import compare
+from authguard_r.authoring.compile.change import smallest_change, to_draft
+from authguard_r.authoring.compile.sources import given_weights
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import (
     BindingOption,
@@ -35,9 +37,6 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.offline import CounterOption, Kept, counter_of, offline
 from authguard_r.cli.out import emit, exit_code, report_code, report_lines
-from authguard_r.compile.card import compare
-from authguard_r.compile.change import smallest_change, to_draft
-from authguard_r.compile.sources import given_weights
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
@@ -46,15 +45,16 @@ from authguard_r.core.mission import Mission, OnRefusal
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token
+from authguard_r.enforcement.json_views import plan_json, report_json
+from authguard_r.enforcement.management.configurations import Configuration, Part
+from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.management.configurations import Configuration, Part
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding, binding_digest
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.normalize.mentions import How
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.report import Report
+from authguard_r.provenance.context import ContextLedger
+from authguard_r.provenance.mentions import How
 from authguard_r.safety import (
     SafetyConfig,
     TemporalGate,
@@ -62,13 +62,13 @@ from authguard_r.safety import (
     open_config,
     safety_digest,
 )
-from authguard_r.safety.kept import memory_of
-from authguard_r.shapes import plan_json, report_json
+from authguard_r.safety.stored_memory import memory_of
+from authguard_r.server.wiring import sign_terminal
 from authguard_r.sim.robot import Faults
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
-from authguard_r.times import store_clock
+from authguard_r.store.clocks import store_clock
 
 PLANNER = "planner"
 

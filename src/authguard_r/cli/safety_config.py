@@ -18,17 +18,17 @@ from authguard_r.cli.out import emit
 from authguard_r.cli.safety_form import Form, own_envelope, read_form, written
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
-from authguard_r.compile.spoken import quantity, quoted
 from authguard_r.core.encoding import Tag
-from authguard_r.gate.checkup.users import user_name
-from authguard_r.gate.process import ASKED_MS
+from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.operations.checkup.users import user_name
 from authguard_r.safety import Checker, Rule, SafetyConfig, open_config, safety_digest
 from authguard_r.safety.config import THE_OBJECT, Executable
 from authguard_r.safety.signed import CONFIG_ROLES
+from authguard_r.server.process import ASKED_MS
+from authguard_r.site.formatting import quantity, quoted
 from authguard_r.site.source import convert, read_text, read_yaml
-from authguard_r.templates import claimed
 
 app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
 TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]

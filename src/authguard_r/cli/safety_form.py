@@ -14,11 +14,10 @@ import yaml
 from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
+from authguard_r.authoring.compile.draft import Quantity
+from authguard_r.authoring.compile.names import unknown
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gate_peers import user_number
-from authguard_r.compile.draft import Quantity
-from authguard_r.compile.names import unknown
-from authguard_r.compile.spoken import quantity
-from authguard_r.compile.units import to_integer
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import (
     ActionType,
@@ -33,6 +32,7 @@ from authguard_r.safety import Rule, SafetyConfig, default_config
 from authguard_r.safety.config import Executable, Line, SocketPath
 from authguard_r.safety.temporal.atoms import unknown_name
 from authguard_r.safety.temporal.rules import compile_rules
+from authguard_r.site.formatting import quantity
 from authguard_r.site.model import Site, facts_of
 from authguard_r.site.source import convert
 

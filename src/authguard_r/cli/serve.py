@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from authguard_r.cli.exposition import exposition
 from authguard_r.client.link import wall_now
 from authguard_r.core.identifiers import RobotId
-from authguard_r.gate.config import Disclosure
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import Trust, read_trust
+from authguard_r.operations.exposition import exposition
+from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import Mode
 
 if TYPE_CHECKING:
     from OpenSSL.SSL import Context
 
-    from authguard_r.http.clients import Doorkeeper
+    from authguard_r.integrations.http.clients import Doorkeeper
 
 
 def serve_command(
@@ -77,9 +77,9 @@ def serve_command(
     A permit is advice: it uses nothing up and holds for no time. What is to be held to it is
     carried out by the gate (`--propose`).
     """
-    from authguard_r.client.keeping import GatePlace
-    from authguard_r.http import process
-    from authguard_r.listening.ports import listening
+    from authguard_r.client.reconnecting import GatePlace
+    from authguard_r.integrations.http import process
+    from authguard_r.integrations.http_listener.access import listening
 
     if openapi:
         sys.stdout.write(process.openapi(propose=propose).decode() + "\n")
@@ -126,8 +126,8 @@ def _doorkeeper(
     bearer: Path | None, trust: Path, robot: RobotId, roles: frozenset[Role] | None
 ) -> Doorkeeper:
     """Return who says who may ask: by a token, by certificates, or by both."""
-    from authguard_r.http.clients import ROLES, Certificates, Doorkeeper
-    from authguard_r.listening.ports import read_bearer
+    from authguard_r.integrations.http.clients import ROLES, Certificates, Doorkeeper
+    from authguard_r.integrations.http_listener.access import read_bearer
 
     if bearer is None and roles is None:
         text = "a port does not say who asks: give --token-file or --client-certificates"
@@ -144,7 +144,7 @@ def _doorkeeper(
 
 
 def _tls(cert: Path | None, key: Path | None, *, client_certificates: bool) -> Context | None:
-    from authguard_r.http.tls import read_context
+    from authguard_r.integrations.http.tls import read_context
 
     if cert is None or key is None:
         return None

@@ -18,13 +18,13 @@ from authguard_r.cli.offline import CounterOption, Kept, offline
 from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption, RobotOption
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import DataClass
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.management.shredding import ROLES
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import FileSigner, folder_signer
-from authguard_r.management.shredding import ROLES
 from authguard_r.site.source import convert
 
 #: Who gives the order in a one-folder set-up.

@@ -10,6 +10,15 @@ import msgspec
 import typer
 from msgspec import Struct
 
+from authguard_r.authoring.compile.card import card_digest, review
+from authguard_r.authoring.compile.lint import (
+    LintCode,
+    LintFinding,
+    errors,
+    finding_lines,
+    lint,
+    lint_alone,
+)
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
 from authguard_r.cli.mission_files import (
@@ -21,9 +30,6 @@ from authguard_r.cli.mission_files import (
 )
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
-from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.confirmation import How, confirm, confirmation_bytes
-from authguard_r.compile.lint import LintCode, LintFinding, errors, finding_lines, lint, lint_alone
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest
@@ -31,7 +37,8 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.confirmation import How, confirm, confirmation_bytes
+from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 

@@ -15,7 +15,7 @@ from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
-from authguard_r.keys.opening import open_named, read_passphrase
+from authguard_r.keys.key_access import open_named, read_passphrase
 from authguard_r.keys.signer import FileSigner, Passphrase, SigningKey, certified
 from authguard_r.keys.trust import read_trust
 

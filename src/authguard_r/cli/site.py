@@ -10,6 +10,11 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.authoring.site.change import changes, line_of
+from authguard_r.authoring.site.nav2 import import_map
+from authguard_r.authoring.site.picture import picture
+from authguard_r.authoring.site.proposal import Proposal, identifier, millimeters, to_yaml
+from authguard_r.authoring.site.scene import import_scene
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
@@ -24,7 +29,6 @@ from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.errors import MalformedError
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.site.change import changes, line_of
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.model import (
     ActionModel,
@@ -35,11 +39,7 @@ from authguard_r.site.model import (
     stopping_mm,
 )
 from authguard_r.site.names import shown
-from authguard_r.site.nav2 import import_map
-from authguard_r.site.picture import picture
 from authguard_r.site.places import adjacent
-from authguard_r.site.proposal import Proposal, identifier, millimeters, to_yaml
-from authguard_r.site.scene import import_scene
 from authguard_r.site.signed import read_signed_site, sign_site
 
 app = typer.Typer(help="The site model: what every word of a mission means.", no_args_is_help=True)

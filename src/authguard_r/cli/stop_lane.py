@@ -27,7 +27,7 @@ def stop_lane_command(
 
     Trust, key and configuration are read once: a change of them takes a new lane.
     """
-    from authguard_r.gate.lane.run import LaneFiles, Ready, run_lane
+    from authguard_r.estop.startup import LaneFiles, Ready, run_lane
 
     def say(ready: Ready) -> None:
         line = f"{ready.socket}: stops are served for {ready.robot} (pid {ready.pid})"

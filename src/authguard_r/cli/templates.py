@@ -12,6 +12,16 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.authoring.compile.card import card_digest
+from authguard_r.authoring.compile.lint import lint_alone
+from authguard_r.authoring.keys.setup import Member, add_member
+from authguard_r.authoring.templates.card import (
+    every_mission,
+    lint_template,
+    require_known,
+    review_template,
+)
+from authguard_r.authoring.templates.derive import compile_template, template_bytes
 from authguard_r.cli.gateway import Orders
 from authguard_r.cli.inputs import (
     JsonFlag,
@@ -52,29 +62,24 @@ from authguard_r.cli.sign import (
     write_signed,
 )
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
-from authguard_r.commands import Command, Verb
-from authguard_r.compile.card import card_digest
-from authguard_r.compile.lint import lint_alone
 from authguard_r.core.encoding import Tag, b64, decode, digest_of
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
-from authguard_r.intake import ISSUER_ROLES
+from authguard_r.enforcement.inputs import ISSUER_ROLES
+from authguard_r.enforcement.signed_orders import Command, Verb
+from authguard_r.enforcement.templates import (
+    Template,
+    TemplateStanding,
+    open_template,
+    require_sound,
+)
+from authguard_r.enforcement.templates.confirmation import confirm_template, confirmation_bytes
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.files import PRIVATE, write_whole
-from authguard_r.keys.setup import Member, add_member
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
-from authguard_r.templates import Template, TemplateStanding, open_template, require_sound
-from authguard_r.templates.card import (
-    every_mission,
-    lint_template,
-    require_known,
-    review_template,
-)
-from authguard_r.templates.confirmation import confirm_template, confirmation_bytes
-from authguard_r.templates.derive import compile_template, template_bytes
 
 app = typer.Typer(help="Missions that are signed once and filled many times.", no_args_is_help=True)
 TemplateFile = Annotated[Path, typer.Argument(help="A template, compiled or signed.")]

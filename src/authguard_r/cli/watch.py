@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.cli.attend import status_lines
 from authguard_r.cli.gateway import (
     CLIENT,
     GATE_SOCKET,
@@ -25,6 +24,7 @@ from authguard_r.cli.gateway import (
     socket_in,
 )
 from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.operate import status_lines
 from authguard_r.cli.out import emit, printed
 from authguard_r.client import AsyncGateClient
 from authguard_r.core.quantities import to_timestamp

@@ -48,7 +48,7 @@ def init_command(
     Do it as the user that will serve it, and let no gate run as that user.
     """
     from authguard_r.keys.algorithms import Algorithm
-    from authguard_r.witness.desk import make_witness
+    from authguard_r.witness.service import make_witness
 
     made = make_witness(folder, name=name, algorithm=Algorithm(algorithm), mark=mark)
     payload = {"folder": str(folder), "name": made.name, "key": made.key}
@@ -73,7 +73,7 @@ def add_command(
 
     From whoever is trusted to know them, not over the network. No witness may serve meanwhile.
     """
-    from authguard_r.witness.desk import register
+    from authguard_r.witness.service import register
 
     keys, now_s = tuple(log), wall_now(None).utc_ms // 1_000
     done = register(folder, keys, now_s, again=replace)
@@ -93,7 +93,7 @@ def forget_command(
 
     For one case: the robot's operator accepted a restored store. It stays in the list of acts.
     """
-    from authguard_r.witness.desk import forget
+    from authguard_r.witness.service import forget
 
     known = forget(folder, origin, wall_now(None).utc_ms // 1_000)
     lines = [f"{origin}: forgotten; unknown until `authguard witness add`"]
@@ -143,10 +143,10 @@ def serve_command(
     Does not start when others can read or write the folder, when another process serves it, or
     when its files are gone or older than they were.
     """
-    from authguard_r.listening.journal import Lines
-    from authguard_r.listening.ports import listening
-    from authguard_r.witness.desk import open_witness
+    from authguard_r.integrations.http_listener.access import listening
+    from authguard_r.wire.json_log import Lines
     from authguard_r.witness.server import LIMITS, Ready, run_witness
+    from authguard_r.witness.service import open_witness
 
     def say(told: Ready) -> None:
         line = f"{told.name}: witnesses {told.logs} logs at {told.url} (pid {told.pid})"

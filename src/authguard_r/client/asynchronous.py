@@ -16,15 +16,16 @@ from typing import Any, Self
 
 import msgspec
 
-from authguard_r.client.greeting import GateVerifier, Greeting, Speaks
+from authguard_r.client.approvals import asking, read_questions, signed_answer, the_one
+from authguard_r.client.handshake import GateVerifier, Greeting, Speaks
 from authguard_r.client.line import Line
-from authguard_r.client.questions import asking, read_questions, signed_answer, the_one
 from authguard_r.client.session import OnEvent, Sent, answer_of, done_of, unreachable
 from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unanswered
 from authguard_r.client.stopping import stop_of, stopped_of
 from authguard_r.core.approval import Verdict
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
+from authguard_r.wire.approval_request import Question
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (
     Act,
@@ -42,7 +43,6 @@ from authguard_r.wire.messages import (
     Stopped,
     Welcome,
 )
-from authguard_r.wire.questions import Question
 
 
 class AsyncGateClient:

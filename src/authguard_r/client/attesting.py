@@ -14,7 +14,7 @@ from pathlib import Path
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.handshake import GateVerifier
 from authguard_r.client.link import Caller, Log, mono_ms
 from authguard_r.client.proof import Proven
 from authguard_r.core.encoding import Tag

@@ -14,9 +14,9 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, Self
 
+from authguard_r.client.approvals import asking, read_questions, signed_answer, the_one
 from authguard_r.client.blocking_stop import OwnLine, stop_now
-from authguard_r.client.greeting import GateVerifier, Greeting
-from authguard_r.client.questions import asking, read_questions, signed_answer, the_one
+from authguard_r.client.handshake import GateVerifier, Greeting
 from authguard_r.client.session import (
     Sent,
     Session,
@@ -30,6 +30,7 @@ from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.approval_request import Question
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (
     Act,
@@ -48,7 +49,6 @@ from authguard_r.wire.messages import (
     Sample,
     Welcome,
 )
-from authguard_r.wire.questions import Question
 
 
 class GateClient:

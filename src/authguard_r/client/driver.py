@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from authguard_r.client.controller import Body, Channel, ControllerDesk, Sent
-from authguard_r.client.greeting import GateVerifier, Speaks
+from authguard_r.client.handshake import GateVerifier, Speaks
 from authguard_r.client.link import Caller, Log, mono_ms
 from authguard_r.client.proof import Proven
 from authguard_r.core.identifiers import MAX_INTEGER, Identifier

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from authguard_r.client.greeting import GateVerifier, Greeting, Speaks
+from authguard_r.client.handshake import GateVerifier, Greeting, Speaks
 from authguard_r.client.proof import Conversation, Proven
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, shown

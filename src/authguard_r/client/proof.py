@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from msgspec import Struct
 
-from authguard_r.client.greeting import Greeting, hello, require_welcome
+from authguard_r.client.handshake import Greeting, hello, require_welcome
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.wire.faults import from_fault

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from authguard_r.client.greeting import Greeting, hello, require_welcome
+from authguard_r.client.handshake import Greeting, hello, require_welcome
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,

@@ -12,7 +12,7 @@ import socket
 from pathlib import Path
 from time import time_ns
 
-from authguard_r.client.greeting import Greeting
+from authguard_r.client.handshake import Greeting
 from authguard_r.client.session import Session, unreachable
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import EnvironmentFault

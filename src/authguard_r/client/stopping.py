@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.client.greeting import GateVerifier, Greeting
+from authguard_r.client.handshake import GateVerifier, Greeting
 from authguard_r.client.line import Line
 from authguard_r.client.session import Session, answer_of, unreachable
 from authguard_r.client.start import begin, fresh, late, reach, unanswered

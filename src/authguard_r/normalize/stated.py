@@ -21,10 +21,10 @@ from authguard_r.normalize import Plan, normalize
 from authguard_r.normalize.bind import Binder, site_spellings
 from authguard_r.normalize.binding import Binding, ToolBinding
 from authguard_r.normalize.dialects import Call, Dialect, read_reply
-from authguard_r.normalize.folding import fold
-from authguard_r.normalize.mentions import How, Mention, Names
-from authguard_r.normalize.numerals import read_tokens
 from authguard_r.normalize.parse import read_text
+from authguard_r.provenance.folding import fold
+from authguard_r.provenance.mentions import How, Mention, Names
+from authguard_r.provenance.numerals import read_tokens
 from authguard_r.site.model import Site
 
 #: Reads `0.5 m/s` as a whole number of a unit, or raises an `AuthGuardError`.

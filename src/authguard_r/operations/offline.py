@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from authguard_r.anchoring.counter import Counter
-from authguard_r.assembly import Gate, assemble
 from authguard_r.core.action import Action
 from authguard_r.core.errors import (
     ControllerError,
@@ -17,9 +16,10 @@ from authguard_r.core.ports import Flight
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config, gate_of
+from authguard_r.server.wiring import Gate, assemble
 from authguard_r.site.model import Site
+from authguard_r.store.clocks import SIMULATED, store_clock
 from authguard_r.store.sqlite import open_store
-from authguard_r.times import SIMULATED, store_clock
 
 
 class _NoRobot:

@@ -8,7 +8,6 @@ from pathlib import Path
 from msgspec import Struct
 
 from authguard_r.anchoring.counter import Counter
-from authguard_r.assembly import Gate, assemble
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
 from authguard_r.keys.signer import folder_signer, gate_name
@@ -16,13 +15,14 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.safety import SafetyConfig, default_config, gate_of, safety_digest
+from authguard_r.server.wiring import Gate, assemble
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
+from authguard_r.store.clocks import SIMULATED, last_epoch
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
-from authguard_r.times import SIMULATED, last_epoch
 
 
 class Simulation(Struct, frozen=True, kw_only=True):

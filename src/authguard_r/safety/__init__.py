@@ -7,6 +7,7 @@ only both together let an action through. Source: `eq:execute`. Spec page: docs/
 
 from __future__ import annotations
 
+from authguard_r.safety.combined import Together, gate_of
 from authguard_r.safety.config import (
     Checker,
     Rule,
@@ -18,7 +19,6 @@ from authguard_r.safety.envelope import EnvelopeGate
 from authguard_r.safety.external import ExternalGate
 from authguard_r.safety.signed import open_config
 from authguard_r.safety.temporal import TemporalGate
-from authguard_r.safety.together import Together, gate_of
 
 __all__ = [
     "Checker",

@@ -17,8 +17,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.state import AttestedState
 from authguard_r.safety.config import SPEED, THE_OBJECT, VELOCITY, SafetyConfig
-from authguard_r.safety.reading import trusted_value
 from authguard_r.safety.repair import AT_MOST, repair_of
+from authguard_r.safety.state_reading import trusted_value
 
 FORCE = ParameterId("force_mn")
 HUMAN_DISTANCE = VariableId("human_distance_mm")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from authguard_r.client.attesting import Attester, AttestingEnd, Seen
-from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.handshake import GateVerifier
 from authguard_r.client.link import Log, require_folder, run_all, until_told, wall_now
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.identifiers import RobotId

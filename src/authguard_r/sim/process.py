@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from authguard_r.client.driver import TICK_S, Driver
-from authguard_r.client.greeting import GateVerifier
+from authguard_r.client.handshake import GateVerifier
 from authguard_r.client.link import Log, mono_ms, require_folder, run_all, until_told
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import SymbolicRobot

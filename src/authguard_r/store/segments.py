@@ -28,7 +28,7 @@ from authguard_r.core.identifiers import Count, Digest, Positive
 from authguard_r.core.reasons import Reason
 from authguard_r.store.cells import Cells, blob, cells, first_row, held_value, store_error
 from authguard_r.store.folder import Folder
-from authguard_r.store.strangers import Meter, hold, in_order
+from authguard_r.store.untrusted import Meter, hold, in_order
 
 #: Kind of what a store holds about its segments: each by its name, and where they end.
 SEGMENT, MARK = "segment", "mark"

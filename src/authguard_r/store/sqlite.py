@@ -41,8 +41,8 @@ from authguard_r.store.segments import (
     read_forgets,
     read_index,
 )
-from authguard_r.store.strangers import Meter, in_order, open_stranger
 from authguard_r.store.turn import SqliteTurn
+from authguard_r.store.untrusted import Meter, in_order, open_stranger
 
 T = TypeVar("T")
 

@@ -24,11 +24,11 @@ from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.listening.journal import Lines
-from authguard_r.listening.room import Limits, Room, fitting
-from authguard_r.witness.desk import TEXT, Answer, Witness
+from authguard_r.integrations.http_listener.admission import Limits, Room, fitting
+from authguard_r.wire.json_log import Lines
 from authguard_r.witness.exchange import MAX_HEAD, Broken, Reader, Request, answer_bytes
 from authguard_r.witness.rules import MAX_BYTES
+from authguard_r.witness.service import TEXT, Answer, Witness
 
 PATH = "/add-checkpoint"
 _CHUNK = 1 << 16

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import msgspec
 from msgspec import to_builtins
 
-from authguard_r.compile.draft import Draft
+from authguard_r.authoring.compile.draft import Draft
 from authguard_r.core.identifiers import ObjectId
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site

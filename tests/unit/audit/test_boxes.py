@@ -13,7 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.audit.boxes import (
+from authguard_r.audit.record import (
+    BOX,
+    NONE,
+    Entry,
+    Record,
+    Sealed,
+    append,
+    read_record,
+    read_sealed,
+)
+from authguard_r.audit.sealed_envelopes import (
     ACT,
     LINKS,
     OBJECT,
@@ -26,16 +36,6 @@ from authguard_r.audit.boxes import (
     append_covered,
     classes_of,
     opened,
-)
-from authguard_r.audit.record import (
-    BOX,
-    NONE,
-    Entry,
-    Record,
-    Sealed,
-    append,
-    read_record,
-    read_sealed,
 )
 from authguard_r.audit.verify import Row, verify_rows
 from authguard_r.core.encoding import b64, encode_fast
@@ -279,7 +279,7 @@ def test_a_nonce_of_any_length_opens_nothing(nonce: str) -> None:
 
 def forged(sealed: dict[str, Sealed], **changes: Any) -> Row:
     """Return a row whose box holds these values, sealed with the right key in the right place."""
-    import authguard_r.audit.boxes as module
+    import authguard_r.audit.sealed_envelopes as module
 
     row = sealed_row({"why": "because"}, DataClass.PERSON)
     place = module._Where(robot=scenarios.RID, mid="m-1", seq=0, classes=(DataClass.PERSON,))

@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit import pieces
+from authguard_r.audit import parallel
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.tree import leaf_hash
 from authguard_r.audit.verify import (
@@ -44,8 +44,8 @@ ROWS = log_of(SIZE)
 ROUNDS = 400
 set_ = msgspec.structs.replace
 #: Kept before anything is put in its place.
-REAL = pieces._Helper
-Started = list[pieces._Helper]
+REAL = parallel._Helper
+Started = list[parallel._Helper]
 
 
 class Threaded(REAL):
@@ -56,7 +56,7 @@ class Threaded(REAL):
         self.is_free = False
         ours, theirs = socket.socketpair()
         self.line = Connection(ours.detach())
-        self.thread = threading.Thread(target=pieces.serve, args=(theirs.detach(),))
+        self.thread = threading.Thread(target=parallel.serve, args=(theirs.detach(),))
         self.thread.start()
 
     def close(self) -> None:
@@ -66,16 +66,16 @@ class Threaded(REAL):
 
 @pytest.fixture
 def threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pieces, "_Helper", Threaded)
+    monkeypatch.setattr(parallel, "_Helper", Threaded)
 
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def make(rows: int = 16, own: int = 4, most: int = 1 << 21, kept: int = 1 << 24) -> None:
-        monkeypatch.setattr(pieces, "_ROWS", rows)
-        monkeypatch.setattr(pieces, "_OWN_ROWS", own)
-        monkeypatch.setattr(pieces, "_BYTES", most)
-        monkeypatch.setattr(pieces, "_KEPT_BYTES", kept)
+        monkeypatch.setattr(parallel, "_ROWS", rows)
+        monkeypatch.setattr(parallel, "_OWN_ROWS", own)
+        monkeypatch.setattr(parallel, "_BYTES", most)
+        monkeypatch.setattr(parallel, "_KEPT_BYTES", kept)
 
     make()
     return make
@@ -91,7 +91,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Started:
             super().__init__()
             found.append(self)
 
-    monkeypatch.setattr(pieces, "_Helper", Seen)
+    monkeypatch.setattr(parallel, "_Helper", Seen)
     return found
 
 
@@ -100,7 +100,7 @@ def checkpoint(size: int, rows: list[Row] = ROWS, *, witnessed: bool = False) ->
 
 
 def alike(rows: list[Row], *anchors: Anchor, jobs: int = 2, alone: int = 0) -> Verification:
-    found = pieces.verify_in_pieces(iter(rows), jobs=jobs, anchors=anchors, alone=alone)
+    found = parallel.verify_in_pieces(iter(rows), jobs=jobs, anchors=anchors, alone=alone)
     assert found == verify_rows(rows, anchors=anchors)
     return found
 
@@ -204,7 +204,7 @@ def test_a_whole_log_is_told_alike_with_every_kind_of_anchor() -> None:
         assert alike(ROWS, *several, jobs=jobs).anchored_size == SIZE
         assert alike(ROWS, checkpoint(64), checkpoint(64, witnessed=True), jobs=jobs).whole
         assert not alike(ROWS, checkpoint(64), _beyond(), jobs=jobs).whole
-        found = pieces.verify_in_pieces(ROWS, jobs=jobs, terminal=terminal, alone=0)
+        found = parallel.verify_in_pieces(ROWS, jobs=jobs, terminal=terminal, alone=0)
         assert found == verify_rows(ROWS, terminal=terminal)
     every = tuple(map(checkpoint, range(SIZE + 1)))
     assert len(alike(ROWS, *every).anchors) == SIZE + 1
@@ -228,7 +228,7 @@ def test_random_logs_in_random_pieces_are_told_alike(small: Callable[..., None])
             known[0] = set_(known[0], **{rnd.choice(("head", "root")): bytes(32)})
         if rnd.random() < 0.2:
             known = [set_(one, root=None) for one in known]
-        found = pieces.verify_in_pieces(
+        found = parallel.verify_in_pieces(
             iter(rows), jobs=rnd.randrange(2, 4), anchors=known, alone=rnd.choice((0, 0, 50))
         )
         assert found == verify_rows(rows, anchors=known), (number, done)
@@ -251,8 +251,8 @@ def test_the_first_fault_is_told_wherever_the_others_are() -> None:
 def test_pieces_that_nobody_vouches_for_are_verified_to_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(pieces, "verify_piece", lambda *_, **__: None)
-    monkeypatch.setattr(pieces, "_Helper", Threaded)
+    monkeypatch.setattr(parallel, "verify_piece", lambda *_, **__: None)
+    monkeypatch.setattr(parallel, "_Helper", Threaded)
     assert alike(ROWS, checkpoint(150), checkpoint(SIZE)).whole
     assert not alike(ROWS[:200], checkpoint(150), checkpoint(SIZE)).whole
     assert alike([*ROWS[:200], edited(ROWS[200], open={})]).where == "record 200"
@@ -287,7 +287,7 @@ def test_what_reading_raises_comes_after_a_fault_before_it_and_before_one_after_
         for fails_at in (0, 16, 119, 121, 250):
             told = outcome(lambda n=fails_at, e=error: verify_rows(read(bad, n, e)))
             found = outcome(
-                lambda n=fails_at, e=error: pieces.verify_in_pieces(
+                lambda n=fails_at, e=error: parallel.verify_in_pieces(
                     read(bad, n, e), jobs=3, alone=0
                 )
             )
@@ -325,7 +325,7 @@ def test_no_more_than_some_pieces_are_kept_however_long_the_log_is(
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Verifier, "join", join)
-        assert pieces.verify_in_pieces(passing(), jobs=3, alone=0).whole
+        assert parallel.verify_in_pieces(passing(), jobs=3, alone=0).whole
     least = min(len(row.record) + len(row.sealed) for row in ROWS)
     assert 8 <= most <= 20 * each // least + 8
     assert joined[-1] == SIZE
@@ -337,30 +337,30 @@ def test_a_helper_answers_what_it_is_asked_until_its_line_is_closed() -> None:
 
     def other() -> None:
         got.append(line.recv_bytes())
-        for asked in (pieces._Asked(3, True, ROWS[3:9]), pieces._Asked(4, True, ROWS[3:9])):
+        for asked in (parallel._Asked(3, True, ROWS[3:9]), parallel._Asked(4, True, ROWS[3:9])):
             line.send_bytes(msgspec.msgpack.encode(asked))
             got.append(line.recv_bytes())
         line.close()
 
     thread = threading.Thread(target=other)
     thread.start()
-    pieces.serve(theirs.detach())
+    parallel.serve(theirs.detach())
     thread.join()
     assert got[0] == b""
-    assert pieces._ANSWER.decode(got[1]) == verify_piece(ROWS[3:9], 3, with_tree=True)
-    assert pieces._ANSWER.decode(got[2]) is None
+    assert parallel._ANSWER.decode(got[1]) == verify_piece(ROWS[3:9], 3, with_tree=True)
+    assert parallel._ANSWER.decode(got[2]) is None
 
 
 def test_as_many_processes_as_processors_may_be_used_and_one_where_nobody_says(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for allowed, jobs in ((1, 1), (2, 2), (8, 8), (200, pieces.MOST_JOBS)):
+    for allowed, jobs in ((1, 1), (2, 2), (8, 8), (200, parallel.MOST_JOBS)):
         monkeypatch.setattr(
             os, "sched_getaffinity", lambda _, n=allowed: set(range(n)), raising=False
         )
-        assert pieces.usable_jobs() == jobs
+        assert parallel.usable_jobs() == jobs
     monkeypatch.delattr(os, "sched_getaffinity")
-    assert pieces.usable_jobs() == 1
+    assert parallel.usable_jobs() == 1
 
 
 # real processes
@@ -372,7 +372,7 @@ def test_processes_tell_what_one_tells(started: Started, small: Callable[..., No
     known = (checkpoint(1_111, rows), checkpoint(3_000, rows))
     for given in (rows, bad):
         made = helped(started, given)
-        found = pieces.verify_in_pieces(made, jobs=2, anchors=known, alone=64)
+        found = parallel.verify_in_pieces(made, jobs=2, anchors=known, alone=64)
         assert found == verify_rows(given, anchors=known)
     assert len(started) == 2
     assert all(helper.process.returncode is not None for helper in started)
@@ -386,14 +386,14 @@ def helped(started: Started, rows: list[Row]) -> Iterator[Row]:
         yield row
 
 
-def wait_for(helper: pieces._Helper) -> None:
+def wait_for(helper: parallel._Helper) -> None:
     """Return once it has said that it listens."""
     assert helper.is_free or helper._given is not None or helper.line.poll(60)
 
 
 def test_a_short_log_starts_no_process(started: Started) -> None:
-    assert pieces.verify_in_pieces(ROWS, jobs=8).whole
-    assert pieces.verify_in_pieces(ROWS, jobs=1, alone=0).whole
+    assert parallel.verify_in_pieces(ROWS, jobs=8).whole
+    assert parallel.verify_in_pieces(ROWS, jobs=1, alone=0).whole
     assert started == []
 
 
@@ -413,7 +413,7 @@ def test_a_process_that_is_killed_is_an_error_and_never_a_whole_log(
     """While it starts, when it listens, and with a piece that nobody else verified."""
     for kill in (killed_at_once, killed_when_it_listens, killed_at_work):
         with pytest.raises(EnvironmentFault, match="code -9") as failed:
-            pieces.verify_in_pieces(kill(started), jobs=2, alone=64)
+            parallel.verify_in_pieces(kill(started), jobs=2, alone=64)
         assert failed.value.reason is Reason.INTERNAL_FAULT
         assert failed.value.where.startswith(
             "records " if kill is killed_at_work else ("the log", "records ")
@@ -447,7 +447,7 @@ def killed_at_work(started: Started) -> Iterator[Row]:
         yield row
 
 
-def killed(helper: pieces._Helper) -> None:
+def killed(helper: parallel._Helper) -> None:
     """It is dead, and left for whoever started it."""
     os.kill(helper.process.pid, signal.SIGKILL)
     os.waitid(os.P_PID, helper.process.pid, os.WEXITED | os.WNOWAIT)
@@ -456,7 +456,7 @@ def killed(helper: pieces._Helper) -> None:
 def test_a_helper_that_died_before_it_is_asked_or_answers_otherwise_names_the_records(
     small: Callable[..., None],
 ) -> None:
-    given = pieces._Given(pieces._Asked(8, False, ROWS[8:16]), 1)
+    given = parallel._Given(parallel._Asked(8, False, ROWS[8:16]), 1)
     dead = REAL()
     os.kill(dead.process.pid, signal.SIGKILL)
     dead.process.wait()
@@ -485,7 +485,7 @@ def test_an_interrupt_ends_every_process(started: Started, small: Callable[..., 
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pieces.verify_in_pieces(interrupted(), jobs=4, alone=0)
+        parallel.verify_in_pieces(interrupted(), jobs=4, alone=0)
     assert len(started) == 3
     assert all(helper.process.returncode is not None for helper in started)
 
@@ -493,7 +493,7 @@ def test_an_interrupt_ends_every_process(started: Started, small: Callable[..., 
 def test_a_helper_hears_no_interrupt_of_ours_and_ends_when_we_are_gone(
     started: Started,
 ) -> None:
-    helper = pieces._Helper()
+    helper = parallel._Helper()
     helper.answer()
     assert os.getsid(helper.process.pid) == helper.process.pid
     helper.line.close()
@@ -510,11 +510,11 @@ def test_one_record_is_a_piece() -> None:
 
 
 def test_a_helper_that_is_free_when_nothing_is_left_is_given_nothing(threads: None) -> None:
-    reading = pieces._Reading(iter(()), ())
-    with pieces._Helpers(1) as helpers:
+    reading = parallel._Reading(iter(()), ())
+    with parallel._Helpers(1) as helpers:
         helpers.start()
         (helper,) = helpers.answers(wait_for=True)
-        course = pieces._Course(reading, Verifier(), helpers, 0)
+        course = parallel._Course(reading, Verifier(), helpers, 0)
         course._hand_out()
         assert helper.is_free
         assert course.run() == verify_rows(())
@@ -522,8 +522,8 @@ def test_a_helper_that_is_free_when_nothing_is_left_is_given_nothing(threads: No
 
 def test_a_number_that_cannot_be_sent_leaves_a_helper_free(threads: None) -> None:
     row = set_(ROWS[0], seq=1 << 70)
-    with pieces._Helpers(1) as helpers:
+    with parallel._Helpers(1) as helpers:
         helpers.start()
         (helper,) = helpers.answers(wait_for=True)
-        given = pieces._Given(pieces._Asked(0, False, [row]), 0)
+        given = parallel._Given(parallel._Asked(0, False, [row]), 0)
         assert (helper.ask(given), helper.is_free, given.is_answered) == (False, True, False)

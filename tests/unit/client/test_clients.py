@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from authguard_r.client import AsyncGateClient, GateClient
-from authguard_r.client.greeting import Greeting
+from authguard_r.client.handshake import Greeting
 from authguard_r.client.start import begin
 from authguard_r.core.errors import (
     AuthenticityError,

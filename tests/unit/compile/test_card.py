@@ -13,16 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.compile import spoken
-from authguard_r.compile.answers import apply, compile_plain
-from authguard_r.compile.card import Demand, card_digest, review
-from authguard_r.compile.difference import compare, is_next
-from authguard_r.compile.lint import lint
-from authguard_r.compile.units import to_integer
+from authguard_r.authoring.compile.answers import apply, compile_plain
+from authguard_r.authoring.compile.card import Demand, card_digest, review
+from authguard_r.authoring.compile.difference import compare, is_next
+from authguard_r.authoring.compile.lint import lint
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
-from authguard_r.enforcement import evaluate
+from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.site import formatting
 from authguard_r.site.source import convert
 from fixtures import scenarios
 from fixtures.cases import case
@@ -358,7 +358,7 @@ NEUTRAL = {
 
 
 def both(field: str, value: Any) -> tuple[Mission, Mission]:
-    from authguard_r.compile.change import to_draft
+    from authguard_r.authoring.compile.change import to_draft
 
     draft = to_draft(rich())
     plain = msgspec.json.decode(msgspec.json.encode(draft))
@@ -433,12 +433,12 @@ UNITS = ["mm/s", "mm", "mN", "microradian", "permille", "millikelvin", "g", "ms"
 
 @given(INTEGERS, INTEGERS, st.sampled_from([*UNITS, "parsec"]))
 def test_two_quantities_that_differ_never_read_alike(one: int, two: int, unit: str) -> None:
-    assert (spoken.quantity(one, unit) == spoken.quantity(two, unit)) is (one == two)
+    assert (formatting.quantity(one, unit) == formatting.quantity(two, unit)) is (one == two)
 
 
 @given(st.integers(min_value=-(10**11), max_value=10**11), st.sampled_from(["mm/s", "mm", "mN"]))
 def test_what_is_read_compiles_to_what_was_signed(value: int, unit: str) -> None:
-    assert to_integer(spoken.quantity(value, unit), unit, where="x") == value
+    assert to_integer(formatting.quantity(value, unit), unit, where="x") == value
 
 
 def test_quantities_read_as_people_write_them() -> None:
@@ -460,12 +460,12 @@ def test_quantities_read_as_people_write_them() -> None:
         (7, "furlong", "7 furlong"),
     ]:
         with case(value, unit, text):
-            assert spoken.quantity(value, unit) == text
+            assert formatting.quantity(value, unit) == text
 
 
 def test_a_value_of_another_kind_reads_differently() -> None:
     texts = {
-        spoken.condition(Guard(variable="x", comparison=Comparison.EQ, value=v, max_age_ms=1))
+        formatting.condition(Guard(variable="x", comparison=Comparison.EQ, value=v, max_age_ms=1))
         for v in (1, "1", True, "true", "truex", 0, False, "false")
     }
     assert len(texts) == 8

@@ -8,18 +8,18 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.compile.answers import apply, compile_plain
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.card import compare, review
-from authguard_r.compile.change import smallest_change, to_draft
-from authguard_r.compile.draft import Draft
-from authguard_r.compile.spoken import limit, quantity, unit_of
-from authguard_r.compile.units import to_integer
+from authguard_r.authoring.compile.answers import apply, compile_plain
+from authguard_r.authoring.compile.build import compile_draft
+from authguard_r.authoring.compile.card import compare, review
+from authguard_r.authoring.compile.change import smallest_change, to_draft
+from authguard_r.authoring.compile.draft import Draft
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId
 from authguard_r.core.mission import DataRights, Limit
 from authguard_r.core.reasons import Reason
+from authguard_r.site.formatting import limit, quantity, unit_of
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 from fixtures import scenarios

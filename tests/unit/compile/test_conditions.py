@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.compile.conditions import can_hold, real_guards
+from authguard_r.authoring.compile.conditions import can_hold, real_guards
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.mission import Comparison, Guard

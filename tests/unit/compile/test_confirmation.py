@@ -10,8 +10,10 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import read_record, read_sealed
-from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.confirmation import (
+from authguard_r.authoring.compile.card import card_digest, review
+from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
+from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
+from authguard_r.enforcement.confirmation import (
     Confirmation,
     How,
     LintCode,
@@ -19,8 +21,6 @@ from authguard_r.compile.confirmation import (
     confirmation_bytes,
     read_confirmation,
 )
-from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
-from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
 from fixtures import scenarios
 from fixtures.cases import case
 

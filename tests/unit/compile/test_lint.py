@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.compile.answers import apply, compile_plain
-from authguard_r.compile.card import review
-from authguard_r.compile.lint import (
+from authguard_r.authoring.compile.answers import apply, compile_plain
+from authguard_r.authoring.compile.card import review
+from authguard_r.authoring.compile.lint import (
     LintCode,
     Measures,
     Severity,
@@ -26,7 +26,7 @@ from authguard_r.compile.lint import (
     lint,
     lint_alone,
 )
-from authguard_r.compile.worst import facts_for, worst_risk
+from authguard_r.authoring.compile.worst import facts_for, worst_risk
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ParameterId, RegionId
 from authguard_r.core.mission import (

@@ -13,18 +13,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.compile.answers import (
+from authguard_r.authoring.compile.answers import (
     apply,
     compile_answered,
     compile_plain,
     read_answer,
     read_answers,
 )
-from authguard_r.compile.change import to_draft
-from authguard_r.compile.names import names_of
-from authguard_r.compile.path import quiet_path, reachable
-from authguard_r.compile.questions import Questions
-from authguard_r.compile.units import to_integer
+from authguard_r.authoring.compile.change import to_draft
+from authguard_r.authoring.compile.names import names_of
+from authguard_r.authoring.compile.path import quiet_path, reachable
+from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason

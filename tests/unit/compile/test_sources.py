@@ -8,18 +8,18 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.compile.build import compile_draft
-from authguard_r.compile.card import compare, review
-from authguard_r.compile.change import to_draft
-from authguard_r.compile.confirmation import LintCode
-from authguard_r.compile.draft import Draft
-from authguard_r.compile.findings import Severity
-from authguard_r.compile.lint import lint
-from authguard_r.compile.sources import given_weights
+from authguard_r.authoring.compile.build import compile_draft
+from authguard_r.authoring.compile.card import compare, review
+from authguard_r.authoring.compile.change import to_draft
+from authguard_r.authoring.compile.draft import Draft
+from authguard_r.authoring.compile.findings import Severity
+from authguard_r.authoring.compile.lint import lint
+from authguard_r.authoring.compile.sources import given_weights
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.mission import SCHEMA, DataClass, Mission, ProtectedField, require_schema
 from authguard_r.core.provenance import Label, SourceField
 from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.confirmation import LintCode
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, parse_site

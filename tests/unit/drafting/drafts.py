@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from authguard_r.compile.answers import compile_plain
+from authguard_r.authoring.compile.answers import compile_plain
+from authguard_r.authoring.drafting.profile import read_profile
+from authguard_r.authoring.drafting.proposal import Proposal
+from authguard_r.authoring.drafting.template import TemplateProposer
 from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.quantities import Now
-from authguard_r.drafting.profile import read_profile
-from authguard_r.drafting.proposal import Proposal
-from authguard_r.drafting.template import TemplateProposer
 from authguard_r.site.model import Site
 from fixtures import scenarios
 

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.compile.answers import compile_plain
+from authguard_r.authoring.compile.answers import compile_plain
+from authguard_r.authoring.drafting import frames
+from authguard_r.authoring.drafting.proposal import Proposal
+from authguard_r.authoring.drafting.restraint import LIMITING, limits
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.quantities import Now
-from authguard_r.drafting import frames
-from authguard_r.drafting.proposal import Proposal
-from authguard_r.drafting.restraint import LIMITING, limits
 from authguard_r.site.model import Site
 from fixtures import household_sites, scenarios
 from fixtures.amount import amount

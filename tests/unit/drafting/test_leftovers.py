@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import pytest
 
-from authguard_r.drafting.asking import Asking
-from authguard_r.drafting.leftovers import LEAVE_OUT, Leftovers
-from authguard_r.drafting.proposal import Question
+from authguard_r.authoring.drafting.asking import Asking
+from authguard_r.authoring.drafting.proposal import Question
+from authguard_r.authoring.drafting.unresolved_modifiers import LEAVE_OUT, Leftovers
 
 FIELD = "steps[0].destination"
 

@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.authoring.drafting.proposal import clarification
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, DataRights
-from authguard_r.drafting.proposal import clarification
 from authguard_r.site.model import ObjectModel, Site
 from authguard_r.site.words import standard_words
 from fixtures import scenarios

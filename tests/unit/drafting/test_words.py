@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.core.errors import MalformedError
-from authguard_r.drafting import frames
-from authguard_r.drafting.lexicon import Sort, read_lexicon
-from authguard_r.drafting.measures import (
+from authguard_r.authoring.drafting import frames
+from authguard_r.authoring.drafting.lexicon import Sort, read_lexicon
+from authguard_r.authoring.drafting.measures import (
     Daytime,
     instants,
     read_daytime,
     read_measure_text,
     read_number,
 )
-from authguard_r.drafting.profile import measure, read_profile
-from authguard_r.drafting.tokens import Kind, runs, tokenize
+from authguard_r.authoring.drafting.profile import measure, read_profile
+from authguard_r.authoring.drafting.tokens import Kind, runs, tokenize
+from authguard_r.core.errors import MalformedError
 from fixtures import household_sites, scenarios
 from fixtures.cases import case
 from unit.drafting.drafts import NOW_MS

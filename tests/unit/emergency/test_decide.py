@@ -15,15 +15,15 @@ from authguard_r.core.identifiers import VariableId
 from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState, Reading, attest
-from authguard_r.emergency.decide import (
+from authguard_r.enforcement.emergency.decide import (
     Scene,
     action_of,
     decide_emergency,
     permit_emergency,
     still_emergency,
 )
-from authguard_r.emergency.opened import OpenedPolicy
-from authguard_r.emergency.policy import HOUR_MS, MOST_PER_HOUR, Caller, Missing
+from authguard_r.enforcement.emergency.opened import OpenedPolicy
+from authguard_r.enforcement.emergency.policy import HOUR_MS, MOST_PER_HOUR, Caller, Missing
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.model import facts_of, profile_digest
 from fixtures import emergency_policies, scenarios

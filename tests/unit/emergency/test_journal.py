@@ -14,7 +14,14 @@ import msgspec
 import pytest
 
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.emergency.journal import COUNTERS, SLOT, SLOTS, EmergencyJournal, Journaled, _Lost
+from authguard_r.enforcement.emergency.journal import (
+    COUNTERS,
+    SLOT,
+    SLOTS,
+    EmergencyJournal,
+    Journaled,
+    _Lost,
+)
 from fixtures import emergency_files
 from fixtures.emergency_files import record
 

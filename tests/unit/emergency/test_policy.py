@@ -11,9 +11,9 @@ import pytest
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import ActionType, RobotId
 from authguard_r.core.quantities import Now, to_timestamp
-from authguard_r.emergency.lint import lint_policy
-from authguard_r.emergency.opened import open_emergency
-from authguard_r.emergency.policy import EmergencyPolicy
+from authguard_r.enforcement.emergency.lint import lint_policy
+from authguard_r.enforcement.emergency.opened import open_emergency
+from authguard_r.enforcement.emergency.policy import EmergencyPolicy
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import Site
 from authguard_r.site.words import standard_words

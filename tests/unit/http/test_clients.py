@@ -10,12 +10,12 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from authguard_r.authoring.keys.setup import Member, init_folder
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.quantities import Now
-from authguard_r.http.clients import ROLES, Certificates, Doorkeeper
-from authguard_r.http.faults import RequestError
+from authguard_r.integrations.http.clients import ROLES, Certificates, Doorkeeper
+from authguard_r.integrations.http.faults import RequestError
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, init_folder
 from authguard_r.keys.trust import read_trust
 from fixtures import scenarios
 

@@ -11,18 +11,18 @@ from typing import Any
 
 import pytest
 
-from authguard_r.client.keeping import GatePlace
 from authguard_r.client.link import Log
+from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.identifiers import Identifier
-from authguard_r.http import link
-from authguard_r.http.app import _as
-from authguard_r.http.clients import Doorkeeper
-from authguard_r.http.edge import Edge
-from authguard_r.http.link import AwayError, GateLink
-from authguard_r.http.messages import Status
+from authguard_r.integrations.http import gate_connection
+from authguard_r.integrations.http.app import _as
+from authguard_r.integrations.http.clients import Doorkeeper
+from authguard_r.integrations.http.edge import Edge
+from authguard_r.integrations.http.gate_connection import AwayError, GateLink
+from authguard_r.integrations.http.messages import Status
+from authguard_r.integrations.http_listener.access import listening
 from authguard_r.keys.trust import read_trust
-from authguard_r.listening.journal import Lines
-from authguard_r.listening.ports import listening
+from authguard_r.wire.json_log import Lines
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 
@@ -78,8 +78,8 @@ def test_what_the_gate_says_in_another_shape_is_no_answer() -> None:
 
 
 def test_nobody_waits_for_a_turn_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link, "WAIT_S", 0.01)
-    monkeypatch.setattr(link, "AT_ONCE", 0)
+    monkeypatch.setattr(gate_connection, "WAIT_S", 0.01)
+    monkeypatch.setattr(gate_connection, "AT_ONCE", 0)
     where = GatePlace(
         robot=scenarios.RID,
         run=tmp_path,

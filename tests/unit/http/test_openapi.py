@@ -10,8 +10,8 @@ import pytest
 from starlette.routing import compile_path
 
 from authguard_r.cli import call
-from authguard_r.http.operations import ALWAYS, operations_of
-from authguard_r.http.process import openapi
+from authguard_r.integrations.http.operations import ALWAYS, operations_of
+from authguard_r.integrations.http.process import openapi
 
 
 def read(*, propose: bool = True) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.http.messages import Evaluation, Page
-from authguard_r.http.reading import call_of, plan_of, read_body, read_words
+from authguard_r.integrations.http.messages import Evaluation, Page
+from authguard_r.integrations.http.reading import call_of, plan_of, read_body, read_words
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.bind import Binder
 from fixtures import scenarios

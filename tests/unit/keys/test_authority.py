@@ -13,6 +13,12 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec.structs import replace
 
+from authguard_r.authoring.keys.authority import issue, issue_group, wider
+from authguard_r.authoring.keys.folder import given, survey
+from authguard_r.authoring.keys.install import open_answer
+from authguard_r.authoring.keys.request import OpenedRequest, Wanted, make_request, open_request
+from authguard_r.authoring.keys.revoking import renew_lists, revoke
+from authguard_r.authoring.keys.setup import init_folder, read_authority
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -22,14 +28,8 @@ from authguard_r.core.errors import (
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
-from authguard_r.keys.authority import issue, issue_group, wider
 from authguard_r.keys.certificate import Role, build_leaf
 from authguard_r.keys.envelope import seal
-from authguard_r.keys.folder import given, survey
-from authguard_r.keys.install import open_answer
-from authguard_r.keys.request import OpenedRequest, Wanted, make_request, open_request
-from authguard_r.keys.revoking import renew_lists, revoke
-from authguard_r.keys.setup import init_folder, read_authority
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_certificates, read_trust
 from fixtures.revocation_lists import next_lists

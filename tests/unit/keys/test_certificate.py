@@ -24,7 +24,6 @@ from authguard_r.core.principals import Scope
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys import loading
-from authguard_r.keys.beginning import chain_ms
 from authguard_r.keys.certificate import (
     Leaf,
     LeafClaims,
@@ -35,6 +34,7 @@ from authguard_r.keys.certificate import (
     read_claims,
     walk,
 )
+from authguard_r.keys.clock_floor import chain_ms
 from authguard_r.keys.loading import load
 from authguard_r.keys.notes import leaf_key
 from authguard_r.keys.trust import is_demo

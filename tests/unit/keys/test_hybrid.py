@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
+from authguard_r.authoring.keys.setup import Member, add_member, init_folder, write_revocations
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault
 from authguard_r.core.principals import Endorsed
 from authguard_r.core.quantities import Now
@@ -23,7 +24,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, algorithm_of
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.revocation import RevocationList
-from authguard_r.keys.setup import Member, add_member, init_folder, write_revocations
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import Trust, read_certificates, read_trust
 from fixtures.cases import case

@@ -15,19 +15,19 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec.structs import replace
 
+from authguard_r.authoring.keys.authority import issue
+from authguard_r.authoring.keys.install import OpenedAnswer, install_answer, open_answer
+from authguard_r.authoring.keys.request import Answer, Wanted, make_request, open_request
+from authguard_r.authoring.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
-from authguard_r.keys.authority import issue
 from authguard_r.keys.certificate import Role, build_authority
 from authguard_r.keys.files import write_keys
-from authguard_r.keys.install import OpenedAnswer, install_answer, open_answer
 from authguard_r.keys.loading import load
-from authguard_r.keys.request import Answer, Wanted, make_request, open_request
 from authguard_r.keys.revocation import Revocation, sign_list
-from authguard_r.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.keys.trust import Trust, read_certificates, read_file, read_trust
 
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from authguard_r.authoring.keys.setup import Member, init_folder
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import Member, init_folder
 
 
 @pytest.mark.parametrize(

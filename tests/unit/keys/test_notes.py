@@ -18,6 +18,7 @@ from msgspec.structs import replace
 
 from authguard_r.audit.checkpoint import Checkpoint, origin_of
 from authguard_r.audit.note import Note, NoteKey, NoteSignature, encode64, read_key, read_note
+from authguard_r.authoring.keys.setup import Member, init_folder
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
@@ -34,7 +35,6 @@ from authguard_r.keys.notes import (
     verify_note,
     witness_key,
 )
-from authguard_r.keys.setup import Member, init_folder
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_certificates, read_trust
 from fixtures.amount import amount

@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding
 from pkcs11 import ObjectClass
 
+from authguard_r.authoring.keys.request import Wanted, make_request, open_request
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -29,7 +30,6 @@ from authguard_r.keys.pkcs11 import (
     open_key,
     read_key_uri,
 )
-from authguard_r.keys.request import Wanted, make_request, open_request
 from authguard_r.keys.signer import certified
 from fixtures.cases import case
 from fixtures.hardware_token import MODULE, Token, needs_token

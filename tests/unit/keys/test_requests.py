@@ -15,6 +15,19 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec.structs import replace
 
+from authguard_r.authoring.keys.authority import issue
+from authguard_r.authoring.keys.folder import given
+from authguard_r.authoring.keys.install import install_answer, install_list, open_answer
+from authguard_r.authoring.keys.request import (
+    Answer,
+    Request,
+    Wanted,
+    _message,
+    make_request,
+    open_request,
+)
+from authguard_r.authoring.keys.revoking import revoke
+from authguard_r.authoring.keys.setup import init_folder, read_authority
 from authguard_r.core.encoding import b64, encode_fast, unb64
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -26,21 +39,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import Endorsement
 from authguard_r.keys.algorithms import Algorithm, PrivateKey, generate
-from authguard_r.keys.authority import issue
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.folder import given
-from authguard_r.keys.install import install_answer, install_list, open_answer
-from authguard_r.keys.request import (
-    Answer,
-    Request,
-    Wanted,
-    _message,
-    make_request,
-    open_request,
-)
-from authguard_r.keys.revoking import revoke
-from authguard_r.keys.setup import init_folder, read_authority
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import pairs, read_certificates, read_trust
 from fixtures.cases import case

@@ -13,19 +13,19 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
-from authguard_r.core.errors import AuthenticityError, EnvironmentFault
-from authguard_r.core.identifiers import RegionId, RobotId
-from authguard_r.core.principals import Scope
-from authguard_r.core.quantities import Now
-from authguard_r.core.reasons import Reason
-from authguard_r.keys.certificate import Role
-from authguard_r.keys.setup import (
+from authguard_r.authoring.keys.setup import (
     AUTHORITIES,
     Member,
     add_member,
     init_folder,
     write_revocations,
 )
+from authguard_r.core.errors import AuthenticityError, EnvironmentFault
+from authguard_r.core.identifiers import RegionId, RobotId
+from authguard_r.core.principals import Scope
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from unit.keys.chains import DAY_MS, NOW, TODAY

@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
-from authguard_r.commands import Command, Verb
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import ClockError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.management.configurations import Configuration, Part
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.ledger import STOP, Act
-from authguard_r.management.configurations import Configuration, Part
 from authguard_r.operations.simulation import Simulation
+from authguard_r.store.transactions import STOP, Act
 from fixtures import scenarios
 
 

@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import Record, read_record
 from authguard_r.audit.verify import verify_rows
-from authguard_r.cli.replay_standing import Standings
-from authguard_r.commands import Verb
+from authguard_r.auditor.replay.standing import Standings
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.lifecycle import Status
@@ -24,9 +23,10 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import sign_object
-from authguard_r.issued import MOST_ISSUED, damaged, issued, registered
-from authguard_r.management.orders import carry_out
-from authguard_r.report import Report
+from authguard_r.enforcement.management.orders import carry_out
+from authguard_r.enforcement.report import Report
+from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.store.issued_missions import MOST_ISSUED, damaged, issued, registered
 from fixtures import scenarios, sealed_logs, templates
 from fixtures.restarting_gate import Station, go, signer
 

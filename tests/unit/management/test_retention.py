@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.stored_policy import due_missions, retention_of
 from authguard_r.audit.verify import Row
-from authguard_r.commands import Verb
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import FIRST_SCHEMA, DataClass, Mission
 from authguard_r.core.quantities import to_ms
-from authguard_r.management.parts import entry
-from authguard_r.management.shredding import DAY_MS, Retired
+from authguard_r.enforcement.management.parts import entry
+from authguard_r.enforcement.management.shredding import DAY_MS, Retired
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.operations.simulation import Simulation
-from authguard_r.sealing import SealingPolicy
-from authguard_r.sealing.kept import due_missions, retention_of
 from fixtures import scenarios, sealed_logs
 
 OBJECT, REGION = DataClass.OBJECT, DataClass.REGION

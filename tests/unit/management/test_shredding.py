@@ -13,23 +13,23 @@ import apsw
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.stored_policy import HELD, due_missions
+from authguard_r.anchoring.sealing.stored_policy import expiry_ms as expiry_of
 from authguard_r.audit.record import BOX, WRAP, Entry, append
 from authguard_r.audit.verify import Row
 from authguard_r.cli.replay import Replay
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.mission import DataClass, Mission
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import OpenRelease, Spend
-from authguard_r.ledger import Act
-from authguard_r.management.parts import entry
-from authguard_r.management.shredding import DAY_MS, PAGE, Retired
+from authguard_r.enforcement.management.parts import entry
+from authguard_r.enforcement.management.shredding import DAY_MS, PAGE, Retired
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.operations.simulation import Simulation
-from authguard_r.refusals import RefusalPolicy
-from authguard_r.sealing import SealingPolicy
-from authguard_r.sealing.kept import HELD, due_missions
-from authguard_r.sealing.kept import expiry_ms as expiry_of
+from authguard_r.store.refusals import RefusalPolicy
+from authguard_r.store.transactions import Act
 from fixtures import scenarios, sealed_logs
 
 REGION, OBJECT, PERSON = DataClass.REGION, DataClass.OBJECT, DataClass.PERSON
@@ -704,7 +704,7 @@ def test_the_end_of_records_of_no_mission_begins_nothing_new(path: Path) -> None
 def test_more_missions_than_are_looked_at_take_their_turns(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("authguard_r.management.shredding._MOST_DUE", 2)
+    monkeypatch.setattr("authguard_r.enforcement.management.shredding._MOST_DUE", 2)
     with sealed_logs.sealing(path, kept(sealed_logs.rule(REGION, most_ms=DAY_MS))) as sim:
         mids = [ended(sim, mission=f"m-{number}").mid for number in range(3)]
         sim.gate.management.retire()

@@ -12,7 +12,7 @@ from typing import Any
 import mcp_types as types
 import pytest
 
-from authguard_r.mcp.answers import answer_from, texts_of
+from authguard_r.integrations.mcp.answers import answer_from, texts_of
 
 META = {"org.example/by": "word-meta", "word-key": ["word-list"]}
 NOTES = types.Annotations(audience=["user"], last_modified="word-modified")

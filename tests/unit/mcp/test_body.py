@@ -14,11 +14,11 @@ from msgspec.structs import replace
 from authguard_r.client.link import Log
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
-from authguard_r.mcp import upstream as upstreams
-from authguard_r.mcp.upstream import Upstream
+from authguard_r.integrations.mcp import upstream as upstreams
+from authguard_r.integrations.mcp.upstream import Upstream
+from authguard_r.integrations.tools.body import Means, ToolBody, ToolFlight
 from authguard_r.normalize import Binder
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.tools.body import Means, ToolBody, ToolFlight
 from fixtures import scenarios
 
 ODD = scenarios.ROOT / "tests" / "programs" / "misbehaving_mcp_server.py"

@@ -9,8 +9,8 @@ import mcp_types as types
 import pytest
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.mcp.asking import Said, said
-from authguard_r.mcp.front import KEY, named, size_of
+from authguard_r.integrations.mcp.asking import Said, said
+from authguard_r.integrations.mcp.front import KEY, named, size_of
 
 
 def call(meta: dict[str, Any] | None = None, **more: Any) -> types.CallToolRequestParams:

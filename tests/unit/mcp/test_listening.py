@@ -7,8 +7,8 @@ import asyncio
 from collections.abc import MutableMapping
 from typing import Any
 
-from authguard_r.listening.journal import Lines
-from authguard_r.mcp.listening import guarded
+from authguard_r.integrations.mcp.http_front import guarded
+from authguard_r.wire.json_log import Lines
 
 TOKEN = b"a" * 40
 

@@ -9,7 +9,7 @@ import mcp_types as types
 import pytest
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.mcp.pins import Pins, pins_bytes, pins_of, read_pins
+from authguard_r.integrations.mcp.pins import Pins, pins_bytes, pins_of, read_pins
 
 
 def tool(name: str, **more: object) -> types.Tool:

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from authguard_r.mcp.sessions import Sessions
+from authguard_r.integrations.mcp.sessions import Sessions
 
 NAME = b"mcp-session-id"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 
-from authguard_r.mcp.turns import Turns
+from authguard_r.integrations.mcp.turns import Turns
 
 
 async def asks(turns: Turns, session: str | None, name: str, had: list[str]) -> None:

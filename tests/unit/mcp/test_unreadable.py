@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.listening.room import Limits
-from authguard_r.mcp.unreadable import error_of, held_to_json, marked
+from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.mcp.unreadable import error_of, held_to_json, marked
 
 PARSE, INVALID = -32_700, -32_600
 DEEP = "[" * 300 + "]" * 300

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from authguard_r.client.link import Log
-from authguard_r.mcp.upstream import Upstream, ended_with_care, listed
+from authguard_r.integrations.mcp.upstream import Upstream, ended_with_care, listed
 from fixtures import scenarios
 
 ODD = (

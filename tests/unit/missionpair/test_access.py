@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.compile.draft import Draft
+from authguard_r.authoring.compile.draft import Draft
 from authguard_r.core.reasons import Reason
 from fixtures import mission_pairs
 from missionpair.access import (

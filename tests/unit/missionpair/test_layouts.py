@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.binding.check import check_binding
 from authguard_r.normalize.binding import load_binding
-from authguard_r.normalize.check import check_binding
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert

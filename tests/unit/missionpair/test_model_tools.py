@@ -6,9 +6,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.core.identifiers import RobotId
 from authguard_r.normalize.binding import Binding, load_binding, ways_of
-from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site

@@ -8,16 +8,16 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.authoring.binding.check import BindingReport, check_binding
+from authguard_r.authoring.binding.samples import probe_site
 from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, load_binding
-from authguard_r.normalize.check import BindingReport, check_binding
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.interface import Surface
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.normalize.samples import probe_site
 from authguard_r.site.model import Region, Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words

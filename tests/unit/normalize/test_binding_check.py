@@ -8,11 +8,11 @@ from typing import Any
 import msgspec
 import pytest
 
+from authguard_r.authoring.binding.check import check_binding
+from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, ToolBinding, effect_of, require_sound, ways
-from authguard_r.normalize.check import check_binding
 from authguard_r.normalize.expected import TEXT
-from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.model import Parameter, Profile, Robot, Rounding, Site
 from authguard_r.site.source import convert

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.binding.check import BindingReport
 from authguard_r.core.errors import MalformedError
-from authguard_r.normalize.check import BindingReport
 from authguard_r.normalize.interface import listed_interface, read_interface
 from fixtures.cases import case
 from unit.normalize.bound import (

@@ -8,14 +8,14 @@ from typing import Any
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from authguard_r.authoring.binding.check import check_binding
+from authguard_r.authoring.binding.samples import Sampler
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import binding_faults, ways
-from authguard_r.normalize.check import check_binding
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.interface import read_interface
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.normalize.samples import Sampler
 from authguard_r.site.words import standard_words
 from fixtures.amount import amount
 from unit.normalize.bound import (

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import typer
 
+from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.cli import binding as command
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.normalize.bind import Binder
@@ -18,7 +19,6 @@ from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.dialects.verbs import STEP_VERBS
 from authguard_r.normalize.interface import read_interface
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words

@@ -16,7 +16,7 @@ from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.context import (
+from authguard_r.provenance.context import (
     CHANNELS,
     KEPT,
     MAX_INPUT,
@@ -24,7 +24,7 @@ from authguard_r.normalize.context import (
     Influence,
     channel_labels,
 )
-from authguard_r.normalize.labels import label_fields
+from authguard_r.provenance.labels import label_fields
 from fixtures import scenarios
 from fixtures.amount import amount
 from fixtures.cases import case

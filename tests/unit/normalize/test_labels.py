@@ -11,7 +11,7 @@ from authguard_r.core.mission import Row
 from authguard_r.core.provenance import Chooser, Label
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
-from authguard_r.normalize.labels import label_fields
+from authguard_r.provenance.labels import label_fields
 from fixtures import scenarios
 from fixtures.cases import case
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.normalize.context import CHANNELS, KEPT, WINDOW, ContextLedger
-from authguard_r.normalize.folding import fold, loosen, skeleton
-from authguard_r.normalize.mentions import How, Names
-from authguard_r.normalize.numerals import ORDINAL, read_tokens
+from authguard_r.provenance.context import CHANNELS, KEPT, WINDOW, ContextLedger
+from authguard_r.provenance.folding import fold, loosen, skeleton
+from authguard_r.provenance.mentions import How, Names
+from authguard_r.provenance.numerals import ORDINAL, read_tokens
 from fixtures import scenarios
 from fixtures.amount import amount
 from fixtures.cases import case

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.core.action import Action, ActionMeta, scope_of
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
@@ -24,7 +25,6 @@ from authguard_r.normalize.binding import Argument, Binding, Use, Way, ways
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.quantity import scale, unscale
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
-from authguard_r.normalize.samples import Sampler, probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.model import Parameter, Rounding, Site
 from authguard_r.site.source import convert

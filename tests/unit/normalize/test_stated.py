@@ -11,14 +11,14 @@ from hypothesis import event, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from authguard_r.authoring.binding.samples import probe_site
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.free_text import model_prompt_schema
-from authguard_r.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Plan
 from authguard_r.normalize.binding import POSE, Argument, Binding, Use, load_binding, ways
-from authguard_r.normalize.samples import probe_site
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.normalize.stated import normalize_stated
 from authguard_r.site.model import Site

@@ -11,14 +11,14 @@ import pytest
 
 from authguard_r.audit.record import Entry
 from authguard_r.audit.verify import Row
+from authguard_r.authoring.onboarding import evidence
+from authguard_r.authoring.onboarding.evidence import MAX_PLAN, Evidence, gather
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.context import Influence
 from authguard_r.normalize.dialects import Dialect
-from authguard_r.onboarding import evidence
-from authguard_r.onboarding.evidence import MAX_PLAN, Evidence, gather
+from authguard_r.provenance.context import Influence
 from fixtures import scenarios
 from fixtures import shadow_logs as logs
 

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.compile.answers import apply, compile_plain
+from authguard_r.authoring.compile.answers import apply, compile_plain
+from authguard_r.authoring.onboarding.evidence import Evidence, Proposed, gather
+from authguard_r.authoring.onboarding.grants import draft_of, learn
+from authguard_r.authoring.onboarding.pages import MISSION, propose, ranked, row_line
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.decision import Verdict
 from authguard_r.core.errors import ClarificationError
 from authguard_r.core.mission import MAX_GRANTS, MAX_ROWS, Mission
 from authguard_r.core.quantities import to_timestamp
-from authguard_r.normalize.context import Influence
-from authguard_r.onboarding.evidence import Evidence, Proposed, gather
-from authguard_r.onboarding.grants import draft_of, learn
-from authguard_r.onboarding.pages import MISSION, propose, ranked, row_line
+from authguard_r.provenance.context import Influence
 from authguard_r.site.source import read_yaml
 from fixtures import scenarios
 from fixtures import shadow_logs as logs

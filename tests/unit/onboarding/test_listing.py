@@ -10,10 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.core.errors import MalformedError
-from authguard_r.core.reasons import Reason
-from authguard_r.onboarding.graph import Kind, read_ros
-from authguard_r.onboarding.listing import (
+from authguard_r.authoring.onboarding.graph import Kind, read_ros
+from authguard_r.authoring.onboarding.listing import (
     MAX_FIELDS,
     MAX_LIST,
     MAX_TOOLS,
@@ -21,6 +19,8 @@ from authguard_r.onboarding.listing import (
     read_mcp,
     read_openai,
 )
+from authguard_r.core.errors import MalformedError
+from authguard_r.core.reasons import Reason
 from fixtures.amount import amount
 from fixtures.cases import case
 from fixtures.time_bounds import at_most

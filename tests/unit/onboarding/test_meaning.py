@@ -10,15 +10,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from authguard_r.authoring.binding.samples import probe_site
+from authguard_r.authoring.onboarding.calls import MAX_WORDS
+from authguard_r.authoring.onboarding.evidence import gather
+from authguard_r.authoring.onboarding.listing import MAX_FIELDS, MAX_TOOLS
+from authguard_r.authoring.onboarding.pages import BINDING, MISSION, SITE, Proposals, propose
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.normalize import Binder, Dialect, normalize
 from authguard_r.normalize.binding import Binding, Use, binding_faults, same, ways
-from authguard_r.normalize.samples import probe_site
-from authguard_r.onboarding.calls import MAX_WORDS
-from authguard_r.onboarding.evidence import gather
-from authguard_r.onboarding.listing import MAX_FIELDS, MAX_TOOLS
-from authguard_r.onboarding.pages import BINDING, MISSION, SITE, Proposals, propose
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_yaml
 from authguard_r.site.words import standard_words

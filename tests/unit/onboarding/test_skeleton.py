@@ -10,15 +10,15 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from authguard_r.authoring.binding.check import check_binding
+from authguard_r.authoring.onboarding.listing import MAX_TOOLS, Source
+from authguard_r.authoring.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, normalize
 from authguard_r.normalize.binding import Binding, Use, ways
-from authguard_r.normalize.check import check_binding
 from authguard_r.normalize.interface import listed_interface, read_interface
-from authguard_r.onboarding.listing import MAX_TOOLS, Source
-from authguard_r.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.names import skeleton as look
 from authguard_r.site.source import convert, parse_site, read_yaml

@@ -12,14 +12,14 @@ import pytest
 import yaml
 
 from authguard_r.core.errors import MalformedError
+from authguard_r.integrations.ros.calls import body_of, bound, call_of, fitted, item_of
+from authguard_r.integrations.ros.map import RosMap, parse_map
+from authguard_r.integrations.tools.files import given_binding
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.shipped import binding_source
-from authguard_r.ros.calls import body_of, bound, call_of, fitted, item_of
-from authguard_r.ros.map import RosMap, parse_map
 from authguard_r.site.model import Site
 from authguard_r.site.source import parse_site, read_site
-from authguard_r.tools.given import given_binding
 from fixtures.ros_keystores import example, map_of, plain_map
 from fixtures.scenarios import ROOT
 

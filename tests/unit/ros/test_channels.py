@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.provenance import Label
-from authguard_r.ros.channels import require_channels
-from authguard_r.ros.map import RosMap
+from authguard_r.integrations.ros.channels import require_channels
+from authguard_r.integrations.ros.map import RosMap
 from fixtures import scenarios
 from fixtures.ros_keystores import example
 

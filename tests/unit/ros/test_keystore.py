@@ -18,10 +18,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
-from authguard_r.ros.documents import governance, governance_faults, read_permissions
-from authguard_r.ros.keycheck import Code, Fault, check_enclave, check_keystore
-from authguard_r.ros.keystore import ENCLAVES, KEY, PRIVATE, PUBLIC, make_keystore
-from authguard_r.ros.rights import rights_of
+from authguard_r.integrations.ros.documents import governance, governance_faults, read_permissions
+from authguard_r.integrations.ros.keycheck import Code, Fault, check_enclave, check_keystore
+from authguard_r.integrations.ros.keystore import ENCLAVES, KEY, PRIVATE, PUBLIC, make_keystore
+from authguard_r.integrations.ros.rights import rights_of
 from fixtures.ros_keystores import NOW, certify, example, home, map_of, plain_map, resign
 
 PLANNER, GATE, BASE = "/llm/planner", "/authguard/gate", "/robot/base"

@@ -11,7 +11,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.ros.latch import MS, Latch, Why
+from authguard_r.integrations.ros.latch import MS, Latch, Why
 from fixtures.cases import case
 
 SILENCE, SETTLE, PERIOD = 120, 200, 20

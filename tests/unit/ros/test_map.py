@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.ros.map import read_map
-from authguard_r.ros.names import is_enclave, is_name, part_of
+from authguard_r.integrations.ros.map import read_map
+from authguard_r.integrations.ros.names import is_enclave, is_name, part_of
 from fixtures.cases import case
 from fixtures.ros_keystores import EXAMPLE, example, map_of, plain_map
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.ros.position import (
+from authguard_r.integrations.ros.position import (
     AHEAD_MS,
     MS,
     SETTLE_MS,

@@ -6,7 +6,7 @@ Source: lesson L1; docs/spec/ros-map.md#rights
 
 from __future__ import annotations
 
-from authguard_r.ros.rights import Way, actuating, rights_of
+from authguard_r.integrations.ros.rights import Way, actuating, rights_of
 from fixtures.ros_keystores import example, map_of, plain_map
 
 GOAL, CANCEL = (f"rq/navigate_to_pose/_action/{of}Request" for of in ("send_goal", "cancel_goal"))

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.ros.keystore import KEY, make_keystore
-from authguard_r.ros.security import EXACTLY, require_security, security_faults
+from authguard_r.integrations.ros.keystore import KEY, make_keystore
+from authguard_r.integrations.ros.security import EXACTLY, require_security, security_faults
 from fixtures.cases import case
 from fixtures.ros_keystores import example, home, map_of, plain_map
 

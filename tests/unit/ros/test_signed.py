@@ -22,8 +22,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError
-from authguard_r.ros.keystore import authority, pem
-from authguard_r.ros.signed import MAX_SIGNED, open_text, sign_text
+from authguard_r.integrations.ros.keystore import authority, pem
+from authguard_r.integrations.ros.signed import MAX_SIGNED, open_text, sign_text
 from fixtures.cases import case
 from fixtures.ros_keystores import NOW
 

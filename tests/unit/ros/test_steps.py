@@ -10,7 +10,14 @@ from typing import Any
 
 import pytest
 
-from authguard_r.ros.steps import KINDS, codes_of, decided, display_of, ended_by, stopped_by
+from authguard_r.integrations.ros.steps import (
+    KINDS,
+    codes_of,
+    decided,
+    display_of,
+    ended_by,
+    stopped_by,
+)
 
 REFUSED = {
     "outcome": "reject",

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.ros.position import MS, Why
-from authguard_r.ros.transforms import (
+from authguard_r.integrations.ros.position import MS, Why
+from authguard_r.integrations.ros.transforms import (
     MAX_FRAMES,
     Frames,
     Placed,

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
-from authguard_r.gate.process import ASKED_MS, Rendezvous
 from authguard_r.safety import Checker, Rule, SafetyConfig, default_config
+from authguard_r.server.process import ASKED_MS, Rendezvous
 from authguard_r.wire.messages import ClientRole
 from fixtures import estop_fixtures, scenarios
 from unit.gate.demo_site import SCAN

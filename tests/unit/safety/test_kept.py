@@ -17,7 +17,6 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import read_record
-from authguard_r.commands import Command, Verb
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, decode, encode_fast, unb64
 from authguard_r.core.errors import ControllerError
@@ -26,13 +25,14 @@ from authguard_r.core.ports import SafetyGate
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome, issue
 from authguard_r.core.token import sign_object
+from authguard_r.enforcement.leases import Running
+from authguard_r.enforcement.report import Report
+from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.normalize import Step
-from authguard_r.normalize.context import ContextLedger
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.report import Report
-from authguard_r.running import Running
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, Rule, SafetyConfig, Together, default_config
-from authguard_r.safety.kept import LOST, Kept, memory_of, remember, settle_memory
+from authguard_r.safety.stored_memory import LOST, Kept, memory_of, remember, settle_memory
 from fixtures import scenarios
 
 SCAN = Action(type="scan_obstacles", tool="lidar")

@@ -11,7 +11,7 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState, Reading
 from authguard_r.safety.config import default_config
-from authguard_r.safety.reading import trusted_value
+from authguard_r.safety.state_reading import trusted_value
 from fixtures import scenarios
 
 DISTANCE = VariableId("human_distance_mm")

@@ -23,12 +23,12 @@ from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.standing import Outcome
-from authguard_r.gate.explain import repaired_by
-from authguard_r.gate.process import Rendezvous
+from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Step
-from authguard_r.normalize.context import ContextLedger
-from authguard_r.report import Report
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import default_config
+from authguard_r.server.explanation import repaired_by
+from authguard_r.server.process import Rendezvous
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import ClientRole, Kind, Propose
 from fixtures import estop_fixtures, scenarios

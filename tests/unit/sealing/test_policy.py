@@ -9,10 +9,10 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.anchoring.sealing import Reader, Retention, require_readers, require_retention
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import DataClass
-from authguard_r.sealing import Reader, Retention, require_readers, require_retention
 from fixtures import sealed_logs
 
 REGION, OBJECT = DataClass.REGION, DataClass.OBJECT

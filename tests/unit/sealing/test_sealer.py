@@ -12,20 +12,20 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.audit.boxes import SEALING
+from authguard_r.anchoring.sealing import KeyRing, SealingPolicy
+from authguard_r.anchoring.sealing.sealer import Sealer
+from authguard_r.anchoring.sealing.stored_policy import HELD, hold_policy, newest_keys, policy_of
 from authguard_r.audit.record import BOX, WRAP, Entry, Sealed, append, read_sealed
+from authguard_r.audit.sealed_envelopes import SEALING
 from authguard_r.audit.verify import Row, verify_rows
-from authguard_r.commands import Verb
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
 from authguard_r.core.mission import DataClass
 from authguard_r.core.ports import Turn
-from authguard_r.ledger import Act
-from authguard_r.sealing import KeyRing, SealingPolicy
-from authguard_r.sealing.kept import HELD, hold_policy, newest_keys, policy_of
-from authguard_r.sealing.sealer import Sealer
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
+from authguard_r.store.transactions import Act
 from fixtures import scenarios, sealed_logs
 
 SCAN = scenarios.navigate("dock", "pharmacy")
@@ -129,7 +129,7 @@ def test_what_was_not_committed_was_told_to_nobody_and_seals_nothing(path: Path)
 def test_few_keys_are_in_memory_and_a_mission_that_comes_back_has_new_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("authguard_r.sealing.sealer._MOST_COVERS", 4)
+    monkeypatch.setattr("authguard_r.anchoring.sealing.sealer._MOST_COVERS", 4)
     store, sealer = MemoryStore(), Sealer(scenarios.RID, sealed_logs.policy())
     store.run(lambda turn: here(turn, *"abcdef"))
     for mid in ("a", "b", "c", "d", "a", "e", "f", "b"):

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from authguard_r.client.controller import Channel, ControllerDesk, Sent
-from authguard_r.client.greeting import Greeting
+from authguard_r.client.handshake import Greeting
 from authguard_r.client.proof import Proven, prove
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64

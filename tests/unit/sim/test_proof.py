@@ -9,7 +9,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from authguard_r.client.driver import BOUNDS
-from authguard_r.client.greeting import Greeting, Speaks
+from authguard_r.client.handshake import Greeting, Speaks
 from authguard_r.client.proof import MAX_WELCOME, Conversation, prove
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import (

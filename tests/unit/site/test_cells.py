@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.core.errors import MalformedError
-from authguard_r.site.cells import (
+from authguard_r.authoring.site.cells import (
     MOST_CORNERS,
     Area,
     Run,
@@ -20,6 +19,7 @@ from authguard_r.site.cells import (
     outline,
     size_of,
 )
+from authguard_r.core.errors import MalformedError
 from authguard_r.site.shapes import Side, doubled_area, is_simple, side_of
 from fixtures.amount import amount
 from fixtures.cases import case

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
+from authguard_r.authoring.site.change import Change, Effect, changes, line_of
 from authguard_r.core.provenance import Label
-from authguard_r.site.change import Change, Effect, changes, line_of
 from authguard_r.site.model import (
     ActionModel,
     Emergency,

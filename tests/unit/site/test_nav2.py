@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.site.nav2 import MOST_CELLS, import_map
+from authguard_r.authoring.site.proposal import Proposal, to_yaml
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.model import Site
-from authguard_r.site.nav2 import MOST_CELLS, import_map
-from authguard_r.site.proposal import Proposal, to_yaml
 from authguard_r.site.shapes import Side, side_of
 from authguard_r.site.source import parse_site
 from fixtures.amount import amount

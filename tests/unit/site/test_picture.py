@@ -9,8 +9,8 @@ import msgspec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from authguard_r.authoring.site.picture import picture
 from authguard_r.site.model import Region, Site
-from authguard_r.site.picture import picture
 from fixtures import scenarios
 from fixtures.amount import amount
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from authguard_r.authoring.site.proposal import Proposal, exact, identifier, millimeters, to_yaml
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import is_identifier
-from authguard_r.site.proposal import Proposal, exact, identifier, millimeters, to_yaml
 from authguard_r.site.source import parse_site
 from fixtures import scenarios
 from fixtures.cases import case

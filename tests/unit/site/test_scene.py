@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from authguard_r.authoring.site.proposal import UNKNOWN_MASS_G, Proposal, to_yaml
+from authguard_r.authoring.site.scene import MOST, import_scene
 from authguard_r.core.errors import MalformedError
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.places import adjacent
-from authguard_r.site.proposal import UNKNOWN_MASS_G, Proposal, to_yaml
-from authguard_r.site.scene import MOST, import_scene
 from authguard_r.site.source import parse_site
 from fixtures.amount import amount
 from fixtures.cases import case

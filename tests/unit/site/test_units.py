@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.compile.units import to_integer
+from authguard_r.authoring.compile.units import to_integer
 from authguard_r.site.units import UNITS, unit_fault, unit_of
 from authguard_r.site.words import standard_words
 

@@ -6,20 +6,20 @@ from __future__ import annotations
 import pytest
 
 from authguard_r.audit.record import read_sealed
-from authguard_r.compile.card import card_digest, review
-from authguard_r.compile.confirmation import How
-from authguard_r.compile.lint import LintCode, errors
-from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.core.reasons import Reason
-from authguard_r.operations.simulation import Simulation
-from authguard_r.templates import Hole, HoleKind
-from authguard_r.templates.card import (
+from authguard_r.authoring.compile.card import card_digest, review
+from authguard_r.authoring.compile.lint import LintCode, errors
+from authguard_r.authoring.templates.card import (
     every_mission,
     lint_template,
     require_known,
     review_template,
 )
-from authguard_r.templates.confirmation import confirm_template, confirmation_bytes
+from authguard_r.core.errors import AuthGuardError, MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.confirmation import How
+from authguard_r.enforcement.templates import Hole, HoleKind
+from authguard_r.enforcement.templates.confirmation import confirm_template, confirmation_bytes
+from authguard_r.operations.simulation import Simulation
 from fixtures import scenarios, templates
 from fixtures.templates import edited, template
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from authguard_r.authoring.templates.derive import compile_template, template_bytes
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.templates import Template, combinations, filled
-from authguard_r.templates.derive import compile_template, template_bytes
+from authguard_r.enforcement.templates import Template, combinations, filled
 from fixtures import scenarios, templates
 from fixtures.cases import case
 

@@ -11,7 +11,7 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission
-from authguard_r.templates import Pair, held_mission
+from authguard_r.enforcement.templates import Pair, held_mission
 from fixtures import scenarios, templates
 from fixtures.cases import case
 

@@ -13,7 +13,7 @@ from authguard_r.core.encoding import decode, encode, encode_fast
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.mission import Mission, Rate
 from authguard_r.core.reasons import Reason
-from authguard_r.templates import (
+from authguard_r.enforcement.templates import (
     Hole,
     HoleKind,
     Instance,
@@ -23,8 +23,8 @@ from authguard_r.templates import (
     filled,
     require_sound,
 )
-from authguard_r.templates.expansion import require_fill
-from authguard_r.templates.template import PLACES, holes_in, rule_of
+from authguard_r.enforcement.templates.expansion import require_fill
+from authguard_r.enforcement.templates.template import PLACES, holes_in, rule_of
 from fixtures import templates
 from fixtures.cases import case
 from fixtures.templates import SET, edited, template

@@ -17,12 +17,12 @@ from authguard_r.client.controller import Told
 from authguard_r.client.link import Log
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
+from authguard_r.integrations.tools import body as body_module
+from authguard_r.integrations.tools.body import Means, ToolBody, ToolFlight
+from authguard_r.integrations.tools.server import Answer, CallError
 from authguard_r.normalize import Binder
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.tools import body as body_module
-from authguard_r.tools.body import Means, ToolBody, ToolFlight
-from authguard_r.tools.server import Answer, CallError
 from fixtures import scenarios
 
 

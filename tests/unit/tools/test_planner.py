@@ -10,7 +10,7 @@ import asyncio
 
 import pytest
 
-from authguard_r.tools.planner import Turn
+from authguard_r.integrations.tools.planner import Turn
 
 
 def test_a_call_that_was_canceled_keeps_its_turn_until_the_gate_has_answered() -> None:

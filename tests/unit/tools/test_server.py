@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from authguard_r.client.controller import Told
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
+from authguard_r.integrations.tools.planner import Asked
+from authguard_r.integrations.tools.server import MAX_ANSWER, MAX_TEXT, Answer, fits
 from authguard_r.normalize.expected import TEXT, Expected, Match
-from authguard_r.tools.planner import Asked
-from authguard_r.tools.server import MAX_ANSWER, MAX_TEXT, Answer, fits
 from authguard_r.wire.messages import BOUND, Kind, Result
 from fixtures.cases import case
 

@@ -23,9 +23,9 @@ from authguard_r.core.errors import (
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.notes import verify_note
-from authguard_r.witness import desk, files, state
-from authguard_r.witness.desk import Answer, forget, make_witness, open_witness, register
+from authguard_r.witness import files, service, state
 from authguard_r.witness.rules import Finding
+from authguard_r.witness.service import Answer, forget, make_witness, open_witness, register
 from authguard_r.witness.state import (
     MOST_KEPT,
     open_book,
@@ -67,7 +67,7 @@ def test_a_cosignature_is_one_that_others_verify(
     with opened(folder) as witness:
         for old, size in ((0, 5), (5, 5), (5, 16), (16, 20)):
             answer = witness.answer(log.ask(old, size), NOW_S + size)
-            assert (answer.status, answer.content) == (200, desk.TEXT)
+            assert (answer.status, answer.content) == (200, service.TEXT)
             assert attested(log, answer.body, key, size).time_s == NOW_S + size
     kept = read_folder(folder).logs[ORIGIN]
     note = read_note(kept.note.encode(), where="kept")
@@ -434,7 +434,7 @@ def test_a_key_of_an_algorithm_that_cosigns_nothing_is_not_served(
         PrivateFormat,
     )
 
-    key = desk.generate(Algorithm.ML_DSA_65)
+    key = service.generate(Algorithm.ML_DSA_65)
     pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     (folder / "witness.key.pem").write_bytes(pem)
     assert fails(folder).reason is Reason.KEY_INVALID

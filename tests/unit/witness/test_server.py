@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.listening.journal import Lines
-from authguard_r.listening.ports import listening
-from authguard_r.listening.room import Limits
-from authguard_r.witness.desk import Witness
+from authguard_r.integrations.http_listener.access import listening
+from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.wire.json_log import Lines
 from authguard_r.witness.server import LIMITS, PATH, Ready, Server, run_witness
+from authguard_r.witness.service import Witness
 from fixtures.witness_process import ORIGIN, SOON_S, Log, make, open_witness
 
 HASTY = replace(LIMITS, first_s=0.2, idle_s=0.2, take_s=0.2)

@@ -17,7 +17,7 @@ from authguard_r.core.identifiers import ParameterId, VariableId
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState
 from authguard_r.safety.config import SafetyConfig
-from authguard_r.safety.reading import trusted_value
+from authguard_r.safety.state_reading import trusted_value
 from authguard_r.safety.temporal.formula import TRUTH, Atom, Comparison
 
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check a store or an export as a stranger: verify it, decide again with the reference, explain."""

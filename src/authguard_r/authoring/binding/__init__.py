@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check a binding: what it lets through, shown on sample calls."""

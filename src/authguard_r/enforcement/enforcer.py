@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one road to the controller: normalize, decide, safety, commit, release, watch, outcome.
+
+Nothing else calls `decide` for effect or holds a controller. Nothing is dispatched before its
+decision is on disk, except `stop`. Whatever goes wrong on the way is a refusal with a reason, a
+place and one record. Source: `alg:authguard`, `eq:execute`. Spec page: docs/spec/enforcement.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import msgspec
+
+from authguard_r.audit.deviation import weights_of
+from authguard_r.core.action import Action
+from authguard_r.core.checks.grant import spend_of
+from authguard_r.core.decide import decide
+from authguard_r.core.decision import Verdict
+from authguard_r.core.encoding import Tag, digest_of
+from authguard_r.core.errors import AuthGuardError, ControllerError, RefusedError
+from authguard_r.core.facts import SiteFacts
+from authguard_r.core.finding import fault_finding
+from authguard_r.core.identifiers import Digest, Identifier
+from authguard_r.core.lease import permit
+from authguard_r.core.lifecycle import Event
+from authguard_r.core.ports import Clock, SafetyGate
+from authguard_r.core.provenance import Label
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.core.standing import Outcome, Standing, advance, ask, close_request, reserve
+from authguard_r.core.state import AttestedState
+from authguard_r.core.token import VerifiedMission
+from authguard_r.enforcement.completion import (
+    cause_of,
+    complete,
+    meta_of,
+    record_of_decision,
+    repaired_report,
+)
+from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.leases import (
+    WATCH_MS,
+    Keep,
+    Running,
+    Watch,
+    keep_nothing,
+    quietly,
+    require_judged,
+)
+from authguard_r.enforcement.report import (
+    Judged,
+    Refusal,
+    Report,
+    open_question,
+    record_decision,
+    refused_proposal,
+)
+from authguard_r.enforcement.stopping import Stopping
+from authguard_r.normalize import Step
+from authguard_r.provenance.context import ContextLedger, Influence
+from authguard_r.provenance.labels import label_fields
+from authguard_r.safety.stored_memory import memory_of, remember
+from authguard_r.store.transactions import Act, Ledger
+
+
+class Enforcer:
+    """The policy enforcement point of one robot.
+
+    Args:
+        ledger: store and trusted time.
+        intake: what may enter: state, missions, approvals, each verified.
+        facts: the signed site and the gate's own identity.
+        safety: the second gate.
+        watch: holds the actuators, nobody else has them, and looks at open leases.
+        clock: for the pauses between two looks at a lease.
+    """
+
+    def __init__(
+        self,
+        ledger: Ledger,
+        intake: Intake,
+        *,
+        facts: SiteFacts,
+        safety: SafetyGate,
+        watch: Watch,
+        clock: Clock,
+    ) -> None:
+        self._ledger = ledger
+        self.intake = intake
+        self._facts = facts
+        self._safety = safety
+        self._watch = watch
+        self.stopping = Stopping(ledger, intake)
+        self._clock = clock
+        self._first: Callable[[], object] = lambda: None
+
+    def before_first(self, act: Callable[[], object]) -> None:
+        """Do this before the first proposal is decided: recovery, when a gate starts."""
+        self._first = act
+
+    def propose(
+        self,
+        step: Step,
+        *,
+        planner: Identifier,
+        evidence: Digest,
+        context: ContextLedger,
+        repair: bool = False,
+    ) -> Report:
+        """Decide one step and, if both gates accept, carry it out to its outcome.
+
+        Args: as in `submit`.
+        """
+        begun = self.submit(
+            step, planner=planner, evidence=evidence, context=context, repair=repair
+        )
+        if isinstance(begun, Report):
+            return begun
+        while True:
+            report = begun.poll()
+            if report is not None:
+                return report
+            self._clock.pause(WATCH_MS)
+
+    def submit(
+        self,
+        step: Step,
+        *,
+        planner: Identifier,
+        evidence: Digest,
+        context: ContextLedger,
+        keep: Keep = keep_nothing,
+        inputs: Mapping[str, Any] | None = None,
+        repair: bool = False,
+    ) -> Report | Running:
+        """Decide one step and, if both gates accept, begin it; whoever asked watches it.
+
+        Args:
+            step: one bound step of a plan; anybody may have written it.
+            planner: the client that proposed, named by the caller's channel.
+            evidence: digest of the planner's bytes.
+            context: what the planner could have seen.
+            keep: holds something beside what the decision and the outcome change.
+            inputs: what to seal beside a refusal that has no decision.
+            repair: when the safety gate alone refuses the step and offers a repair, decide the
+                repair too, once, in the same transaction. Its report names the refused one in
+                `repairs`.
+
+        Returns:
+            The final report, or the action while it runs: somebody has to `poll` it then.
+        """
+        base, influences = context.base(), context.influences(step.action)
+
+        def job(act: Act) -> Report:
+            judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
+            report = Report(judged=judge(step), influences=influences)
+            report = repaired_report(report, step, judge, context) if repair else report
+            return self._record(act, report, planner, keep)
+
+        try:
+            self._require_suspended()
+            self._watch.settle_owed()
+            self._first()
+            self._first = lambda: None
+            self.intake.refresh()
+            report = self._ledger.run(job)
+        except AuthGuardError as error:
+            return self._refused(error, planner, influences, inputs)
+        except Exception as error:  # noqa: BLE001 - a fault of ours refuses too
+            fault = AuthGuardError(type(error).__name__, reason=Reason.INTERNAL_FAULT)
+            return self._refused(fault, planner, influences)
+        return self._begin(report, keep) if require_judged(report).released else report
+
+    def settle_stops(self) -> bool:
+        """Write what an operator's stop has to change, if it is not on disk; True once it is."""
+        self.stopping.settle()
+        return not self.stopping.owes
+
+    def _require_suspended(self) -> None:
+        """Refuse everything while an operator's stop has not taken its effect on disk.
+
+        Raises:
+            RefusedError: the suspension could not be written yet (`STOPPED`).
+        """
+        if not self.settle_stops():
+            why = "an operator stopped the robot, and that could not be recorded yet"
+            raise RefusedError(why, reason=Reason.STOPPED, where="stop")
+
+    def stop(self, *, by: Identifier, is_planner: bool, suspends: bool = False) -> None:
+        """Brake and hold, for anyone, at once; recorded afterwards.
+
+        Args:
+            by: who asked, named by the caller's channel.
+            is_planner: counted against the planner's budget of stops.
+            suspends: an operator's stop: the mission goes on only after a signed `resume`.
+        """
+        self._watch.controller.stop()
+        self.stopped(by=by, is_planner=is_planner, suspends=suspends)
+
+    def stopped(
+        self,
+        *,
+        by: Identifier,
+        is_planner: bool,
+        suspends: bool = False,
+        details: Mapping[str, Any] | None = None,
+        why: str = "",
+    ) -> bool:
+        """Record a stop that was carried out already; True when it raised an alert.
+
+        Args:
+            by: see `stop`.
+            is_planner: see `stop`.
+            suspends: see `stop`.
+            details: what else lies open in the record.
+            why: the words of whoever stopped; sealed.
+        """
+        return self.stopping.record(
+            by=by, is_planner=is_planner, suspends=suspends, details=details or {}, why=why
+        )
+
+    def _judge(
+        self, act: Act, step: Step, *, planner: Identifier, evidence: Digest, base: Label
+    ) -> Judged:
+        """(1) to (7) in the writer's turn, then the second gate; nothing is changed yet."""
+        verified = self.intake.active_mission(act)
+        standing = act.standing(verified.mission.mid)
+        state = self.intake.state
+        now = act.now
+        meta = meta_of(verified, planner=planner, evidence=evidence, now=now)
+        action = complete(step, meta, verified, standing, state=state, base=base)
+        answered = self.intake.answers(act, standing)
+        decision = decide(
+            verified,
+            action,
+            state=state,
+            facts=self._facts,
+            now=now,
+            standing=standing,
+            approvals=answered.approvals,
+            preapprovals=answered.preapprovals,
+        )
+        safety = None
+        if decision.verdict is Verdict.ACCEPT:
+            recalled = self._safety.recall(memory_of(act, standing))
+            safety = recalled.assess(action, state, self._facts, now)
+        digested = digest_of(Tag.ACTION, action)
+        return Judged(
+            action=action,
+            action_digest=digested,
+            decision=decision,
+            safety=safety,
+            verified=verified,
+            standing=standing,
+            state=state,
+            now=now,
+            ticket=digest_of(Tag.ACTION, (digested, act.head()[0], act.salt())),
+            request=open_question(decision, verified, standing, now, risk=self._facts.risk),
+            approvals=answered.used_by(decision),
+            answers=answered.approvals,
+            weights=weights_of(verified.mission.risk_policy, self._facts.risk),
+        )
+
+    def _commit(self, act: Act, judged: Judged) -> bool:
+        """(8) Use what a release uses, or open the question that it needs; False: nothing."""
+        standing, match = judged.standing, judged.decision.match
+        if standing is None or match is None:
+            return False
+        grant = match.indexed.grant
+        if judged.released and self._watch.ready(irreversible=grant.irreversible):
+            kind = self._facts.vocabulary[judged.action.type]
+            remember(act, standing, judged.safety, ticket=judged.ticket)
+            standing = reserve(
+                standing,
+                grant,
+                ticket=judged.ticket,
+                spend=spend_of(kind, grant, judged.action.params),
+                now=judged.now,
+                per_ms=judged.verified.mission.budgets.rate.per_ms,
+                preapproved=judged.decision.preapproved,
+            )
+        elif judged.request is not None:
+            standing = ask(standing, grant.id, judged.request)
+        elif {Reason.APPROVAL_DENIED, Reason.APPROVAL_TIMEOUT} & set(judged.decision.reasons):
+            standing = close_request(standing, grant.id)
+        if not judged.released and judged.now.utc_ms > judged.verified.expiry_ms:
+            standing = advance(standing, Event.EXPIRE) or standing
+        if standing is judged.standing:
+            return False
+        act.hold(standing)
+        return True
+
+    def _record(self, act: Act, report: Report, planner: Identifier, keep: Keep) -> Report:
+        """(8) Make a decision's changes and append its record, behind what it repairs."""
+        judged, refused = require_judged(report), report.repairs
+        changes = self._commit(act, judged)
+        if refused is not None:  # it is recorded at once when its repair changes something
+            report = msgspec.structs.replace(report, repairs=self._refuse(act, refused, planner))
+        if not changes:
+            return self._refuse(act, report, planner)
+        number = record_decision(act, judged, record_of_decision(report, self._facts))
+        keep(act, report, number)
+        return msgspec.structs.replace(report, seq=number)
+
+    def _refuse(self, act: Act, report: Report, planner: Identifier) -> Report:
+        """Record a decision that changes nothing, now or later."""
+        fold = (planner, *cause_of(report))
+        seq = act.refuse(record_of_decision(report, self._facts), fold=fold)
+        return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
+
+    def _begin(self, report: Report, keep: Keep) -> Report | Running:
+        """Dispatch what was committed, unless its lease does not hold any more."""
+        judged = require_judged(report)
+        match = judged.decision.match
+        if match is None:  # pragma: no cover - an accepted action has a match
+            raise RuntimeError("an action was released without a match")
+        lease = permit(
+            judged.verified,
+            judged.action,
+            grant=match.indexed.grant,
+            row=match.row,
+            facts=self._facts,
+            now=judged.now,
+            ticket=judged.ticket,
+        )
+        findings = self._watch.last_look(lease, irreversible=match.indexed.grant.irreversible)
+        if not findings:
+            try:
+                flight = self._watch.controller.dispatch(judged.action, lease)
+                return Running(self._watch, report, lease=lease, flight=flight, keep=keep)
+            except ControllerError as error:
+                findings = (fault_finding(error),)
+        return self._watch.settle(report, Outcome.NOT_STARTED, findings=findings, keep=keep)
+
+    def _refused(
+        self,
+        error: AuthGuardError,
+        planner: Identifier,
+        influences: tuple[Influence, ...],
+        inputs: Mapping[str, Any] | None = None,
+    ) -> Report:
+        """Turn an exception into a refusal with a record, if anything can still be recorded."""
+        made = partial(refused_proposal, error, client=planner, inputs=inputs or {})
+        seq = quietly(lambda: self._ledger.refuse(made, fold=(planner, error.reason, error.where)))
+        refusal = Refusal(error.reason, error.where, error.message)
+        told = Report(judged=None, refusal=refusal, influences=influences, seq=seq)
+        return msgspec.structs.replace(told, outcome_recorded=self._kept(seq))
+
+    def _kept(self, seq: int | None) -> bool:
+        """True of a refusal that is in the log or waits to be; else it is counted at most."""
+        return seq is not None or self._ledger.refusals.may_write()
+
+    def refuse_plan(
+        self,
+        error: AuthGuardError,
+        *,
+        planner: Identifier,
+        inputs: Mapping[str, Any] | None = None,
+    ) -> Report:
+        """Record that a whole plan could not be read; nothing of it was decided.
+
+        Args:
+            error: what was wrong with it.
+            planner: whose plan it was.
+            inputs: what to seal beside it: the plan itself, where a shadow run keeps it.
+        """
+        return self._refused(error, planner, (), inputs)
+
+
+def evaluate(
+    verified: VerifiedMission,
+    action: Action,
+    *,
+    state: AttestedState | None,
+    facts: SiteFacts,
+    now: Now,
+    standing: Standing | None,
+    safety: SafetyGate | None = None,
+    base: Label = Label.MODEL,
+) -> Judged:
+    """Return what both gates would say, without consuming, recording or releasing: a what-if.
+
+    Args:
+        verified: the mission.
+        action: the proposal; its labels and meta are set here, never taken over.
+        state: what would be attested.
+        facts: the signed site and the gate's identity.
+        now: the instant to ask about.
+        standing: the registry's entry to ask about.
+        safety: the second gate; asked also when the first refuses, to show the two apart.
+        base: the least trusted label of anything the planner could have seen.
+    """
+    labels = label_fields(action, verified, standing, base=base)
+    action = msgspec.structs.replace(action, provenance=labels, meta=None)
+    decision = decide(verified, action, state=state, facts=facts, now=now, standing=standing)
+    digested = digest_of(Tag.ACTION, action)
+    return Judged(
+        action=action,
+        action_digest=digested,
+        decision=decision,
+        safety=None if safety is None else safety.assess(action, state, facts, now),
+        verified=verified,
+        standing=standing,
+        state=state,
+        now=now,
+        ticket=digested,
+        weights=weights_of(verified.mission.risk_policy, facts.risk),
+    )

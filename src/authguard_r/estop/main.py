@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stop lane as its gate starts it: the same process as `authguard stop-lane`, sooner.
+
+The one argument is a `LaneFiles` as JSON; the first line printed says that it serves, or why not.
+Spec page: docs/spec/gate-protocol.md#stop-lane
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import msgspec
+
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.core.identifiers import RobotId
+from authguard_r.estop.startup import LaneFiles, Ready, run_lane
+
+
+class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`LaneFiles` as one argument can hold it."""
+
+    run: str
+    robot: RobotId
+    trust: str
+    key: str
+    cert: str
+    config: str
+
+
+def ask(files: LaneFiles) -> str:
+    """Return the argument that stands for these files."""
+    names = ("run", "trust", "key", "cert", "config")
+    paths = {name: str(getattr(files, name).absolute()) for name in names}
+    return msgspec.json.encode(Asked(robot=files.robot, **paths)).decode()
+
+
+def main(arguments: list[str]) -> int:
+    """Serve until SIGTERM; return the exit code."""
+    asked = msgspec.json.decode(arguments[0], type=Asked)
+    files = LaneFiles(
+        run=Path(asked.run),
+        robot=asked.robot,
+        trust=Path(asked.trust),
+        key=Path(asked.key),
+        cert=Path(asked.cert),
+        config=Path(asked.config),
+    )
+    try:
+        run_lane(files, _say, of_gate=True)
+    except AuthGuardError as error:
+        _say({"error": {"code": error.reason, "message": error.message, "where": error.where}})
+        return 5
+    return 0
+
+
+def _say(line: Ready | dict[str, object]) -> None:
+    sys.stdout.write(msgspec.json.encode(line).decode() + "\n")
+    sys.stdout.flush()

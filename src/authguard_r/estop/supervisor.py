@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps a stop lane serving for as long as the gate does, and hears of every stop.
+
+A lane that dies is started again, and one that hangs is replaced. At the end no lane that a gate
+started is left; one that was started by hand serves on.
+Spec page: docs/spec/gate-protocol.md#stop-lane
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import subprocess
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+from authguard_r.core.errors import AuthGuardError
+from authguard_r.estop.connection import LaneLink, start_lane
+from authguard_r.estop.run_folder import SOCKET, end_lane, is_of_gate, is_served, kill
+from authguard_r.estop.startup import CONFIG, LaneFiles, config_digest
+from authguard_r.wire.messages import StopHeard
+
+#: A lane that is gone is looked for this often, in seconds.
+RETRY_S = 1.0
+#: A lane that was started here and is told to end is gone within this, in seconds.
+END_S = 5.0
+#: The lane is told what is recorded this often, in seconds; it sends at most 32 stops before.
+HEARD_S = 0.1
+#: A lane is asked whether it is there this often, in seconds; a process that hangs stays connected.
+ASK_S = 0.05
+#: It answers when nobody asked anything within this time, in seconds: nothing moves meanwhile.
+WITHIN_S = 0.3
+#: A lane is silent after so many looks without an answer, and replaced after so many more. A stop
+#: takes it a second at most. Looks are counted, not time: a gate that hung itself looks once.
+SILENT, REPLACED = 24, 40
+
+
+class Listener(Protocol):
+    """Who wants to hear of stops."""
+
+    def stopped(self, heard: StopHeard) -> None:
+        """Record a stop that was carried out."""
+        ...
+
+    @property
+    def settled(self) -> bool:
+        """True when everything that was heard has taken its effect on disk."""
+        ...
+
+    def lane_lost(self, why: AuthGuardError | None) -> None:
+        """Say that no stop is heard of."""
+        ...
+
+    def lane_silent(self, *, is_silent: bool) -> None:
+        """Say whether the lane, which is connected, does not answer; told when that changes."""
+        ...
+
+
+class LaneKeeper:
+    """One robot's stop lane, as its gate keeps it.
+
+    Args:
+        files: what a lane is started with.
+    """
+
+    def __init__(self, files: LaneFiles) -> None:
+        self._files = files
+        self._started: list[subprocess.Popen[bytes]] = []
+        self._link: LaneLink | None = None
+        self._asked_s: float | None = None  # when it was asked what it has not answered
+        self._answered_s = -math.inf  # when it was asked what it answered last
+        self._looks = 0  # without an answer
+
+    @property
+    def alive(self) -> bool:
+        """True while a lane has answered within `WITHIN_S`: a stop would be carried out."""
+        return time.monotonic() - self._answered_s <= WITHIN_S
+
+    def start(self) -> None:
+        """Start a lane unless one serves.
+
+        Raises:
+            EnvironmentFault: none serves and none can be started.
+        """
+        retire_stale(self._files)
+        started = start_lane(self._files)
+        if started is not None:
+            self._started.append(started)
+
+    def end(self) -> None:
+        """End the lane that this gate or one before it started.
+
+        Raises:
+            EnvironmentFault: it does not end.
+        """
+        if is_of_gate(self._files.run):
+            end_lane(self._files.run)
+        for process in self._started:
+            process.terminate()
+            try:
+                process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def sync(self, done: Callable[[], None]) -> bool:
+        """Ask whether every stop that the lane made was heard of; False when none serves.
+
+        Args:
+            done: called when it was.
+        """
+        if self._link is None or not self._link.connected:
+            return False
+        self._link.sync(done)
+        return True
+
+    async def keep(self, listener: Listener, connected: Callable[[], None]) -> None:
+        """Be connected, and again whenever the connection was lost, until canceled.
+
+        Args:
+            listener: hears of every stop, and of the lane's loss.
+            connected: called whenever stops are heard of from now on.
+        """
+        while True:
+            lost = asyncio.Event()
+            try:
+                close = await self._connect(listener, lost)
+            except AuthGuardError as error:
+                listener.lane_lost(error)
+                await asyncio.sleep(RETRY_S)
+                await self._restart()
+                continue
+            connected()
+            try:
+                await self._watch(listener, lost)
+            finally:
+                close()
+            await self._restart()
+
+    async def _watch(self, listener: Listener, lost: asyncio.Event) -> None:
+        """Ask the lane whether it is there, again and again, until the connection is lost."""
+        self._asked_s, is_told = None, False
+        listener.lane_silent(is_silent=False)
+        while not lost.is_set():
+            if not self._is_asked:  # one question at a time: a lane that hangs gets no heap
+                self._ask_again()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(ASK_S):  # `wait_for` can lose a cancellation (3.11)
+                    await lost.wait()
+            self._looks += 1
+            waits = self._is_asked and not lost.is_set()
+            if is_told is not (waits and self._looks >= SILENT):
+                is_told = not is_told
+                listener.lane_silent(is_silent=is_told)
+            if waits and self._looks >= REPLACED and listener.settled:
+                self._replace()
+
+    def _replace(self) -> None:
+        """Kill a lane that hangs; its end is noticed, and another one started."""
+        if self._link is not None and self._link.pid is not None:
+            kill(self._link.pid)
+
+    @property
+    def _is_asked(self) -> bool:
+        return self._asked_s is not None
+
+    def _ask_again(self) -> None:
+        self._looks, self._asked_s = 0, time.monotonic()
+        self.sync(self._answered)
+
+    def _answered(self) -> None:
+        self._answered_s, self._asked_s = self._asked_s or -math.inf, None
+        if time.monotonic() - self._answered_s > ASK_S:  # this process was late, not the lane
+            self._ask_again()
+
+    async def _connect(self, listener: Listener, lost: asyncio.Event) -> Callable[[], None]:
+        """Return what says that the last stops are recorded, and lets go of the lane."""
+        recorded: list[int] = []
+
+        def on_stop(heard: StopHeard) -> None:
+            listener.stopped(heard)
+            if not recorded:  # one word for all of a moment: a flood of stops waits in the lane
+                loop.call_later(HEARD_S, say)
+            recorded.append(heard.n)
+
+        def say() -> None:
+            """Say what is recorded, unless a suspension is owed: the lane tells of it again then.
+
+            A gate that dies meanwhile has it on no disk of its own.
+            """
+            if recorded and listener.settled:
+                for n in recorded:
+                    link.heard(n)
+                recorded.clear()
+            elif recorded and not lost.is_set():
+                loop.call_later(HEARD_S, say)
+
+        def on_lost(why: AuthGuardError | None) -> None:
+            if not lost.is_set():
+                listener.lane_lost(why)
+                lost.set()
+
+        def close() -> None:
+            lost.set()  # what ends now is our own doing
+            say()
+            link.close()
+
+        loop = asyncio.get_running_loop()
+        link = LaneLink(self._files.run / SOCKET, on_stop, on_lost)
+        await link.connect()
+        self._link = link
+        return close
+
+    async def _restart(self) -> None:
+        """Start it again beside the loop: leases go on being looked at meanwhile."""
+        for process in self._started:
+            process.poll()  # reaps one that ended
+        try:
+            await asyncio.to_thread(self.start)
+        except AuthGuardError:
+            await asyncio.sleep(RETRY_S)
+
+
+def retire_stale(files: LaneFiles) -> None:
+    """End a lane that serves by another configuration than this one: its users are not these.
+
+    Raises:
+        EnvironmentFault: it does not end.
+    """
+    if is_served(files.run / SOCKET) and _config_of(files) != config_digest(files):
+        end_lane(files.run)
+
+
+def _config_of(files: LaneFiles) -> str | None:
+    try:
+        return (files.run / CONFIG).read_text()
+    except OSError:
+        return None

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planner's end: proposes one call after the other, and tells what became of each.
+
+It decides nothing and carries nothing out; its connection is made anew when it was lost.
+Spec page: docs/spec/adapters.md#ends
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import json
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any, TypeVar
+
+from msgspec import Struct
+
+from authguard_r.client import AsyncGateClient
+from authguard_r.client.reconnecting import GatePlace, KeptGate
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
+from authguard_r.core.reasons import Reason
+from authguard_r.normalize.bind import UNTOLD
+from authguard_r.wire.messages import ClientRole
+
+T = TypeVar("T")
+
+#: Characters that are noted at a time.
+MAX_NOTED = 30_000
+#: What a planner is told of a step beside its outcome, where the gate tells it.
+SHOWN = ("outcome", "reasons", "findings", "retryable", "required_approvals", "seq")
+
+
+class Asked(Struct, frozen=True, kw_only=True):
+    """What became of one call, as the gate tells it.
+
+    Args:
+        step: the report of the one step.
+        brought: what was told before it: the decision, and what the tool brought to light.
+        repeated: the same proposal was made before; what it brought to light is not told twice.
+    """
+
+    step: dict[str, Any]
+    brought: tuple[dict[str, Any], ...] = ()
+    repeated: bool = False
+
+    @property
+    def execution(self) -> str | None:
+        """How the released action ended; None when nothing was released."""
+        outcome: str | None = self.step["execution"]["outcome"]
+        return outcome
+
+    @property
+    def verdict(self) -> dict[str, Any]:
+        """What a planner may know of the decision."""
+        return {name: self.step[name] for name in SHOWN if name in self.step}
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """What the tool brought to light, as the gate passed it on; empty: nothing."""
+        return tuple(item["result"] for item in self.brought if "result" in item)
+
+    def result(self) -> bytes:
+        """Return what the tool brought to light last.
+
+        Raises:
+            MalformedError: that cannot be read.
+        """
+        try:
+            return base64.b64decode(self.results[-1], validate=True)
+        except (ValueError, binascii.Error) as error:
+            raise MalformedError("expected base64", where="result") from error
+
+    @property
+    def ticket(self) -> str | None:
+        """The release's ticket, where the gate told it."""
+        return next((item["ticket"] for item in reversed(self.brought) if "ticket" in item), None)
+
+
+class LostError(Exception):
+    """A gate that went while it was asked: nobody knows what became of the call.
+
+    Args:
+        error: how it went.
+    """
+
+    def __init__(self, error: AuthGuardError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+class Turn:
+    """Who may ask the gate now: one after the other, and nobody before the last answer is there.
+
+    Whoever asked may give up. What he asked goes on, and the gate takes one proposal of a client.
+    """
+
+    def __init__(self) -> None:
+        self._lock = asyncio.Lock()  # first come, first served
+        self._going: asyncio.Future[Any] | None = None
+
+    def locked(self) -> bool:
+        """True while somebody has the turn, or what he asked goes on."""
+        return self._lock.locked() or self._going is not None
+
+    async def __aenter__(self) -> None:
+        await self._lock.acquire()
+        try:
+            if self._going is not None:
+                await asyncio.wait((self._going,))
+        except BaseException:
+            self._lock.release()
+            raise
+
+    async def __aexit__(self, *_: object) -> None:
+        self._lock.release()
+
+    async def kept(self, work: Coroutine[Any, Any, T]) -> T:
+        """Return what work brings that goes on, and keeps the turn, when nobody waits any more."""
+        going = self._going = asyncio.ensure_future(work)
+        going.add_done_callback(self._done)
+        return await asyncio.shield(going)
+
+    def _done(self, going: asyncio.Future[Any]) -> None:
+        self._going = None
+        if not going.cancelled():
+            going.exception()  # if nobody waits for it, nobody wants to know
+
+
+class Planner:
+    """Proposes calls to a gate.
+
+    Args:
+        place: which gate.
+    """
+
+    def __init__(self, place: GatePlace) -> None:
+        self.turn = Turn()
+        self._kept = KeptGate(place, ClientRole.PLANNER)
+        self._is_over = False
+
+    async def propose(
+        self,
+        tool: str,
+        arguments: dict[str, Any],
+        *,
+        key: str | None = None,
+        told: Callable[[dict[str, Any]], None] | None = None,
+    ) -> Asked:
+        """Propose a call; whoever calls this holds the `turn`.
+
+        Args:
+            tool: its name, as the planner wrote it; untrusted.
+            arguments: as it wrote them; untrusted.
+            key: names the proposal, so that asking again is the same one.
+            told: called with each thing that the gate tells before the answer.
+
+        Raises:
+            MalformedError: they are no JSON.
+            AuthGuardError: nothing was decided.
+            LostError: the gate went after it was asked.
+        """
+        plan = {"plan": [{"tool": tool, "arguments": arguments}]}
+        try:
+            data = json.dumps(plan, ensure_ascii=False, allow_nan=False).encode()
+        except (ValueError, TypeError, RecursionError) as error:
+            raise MalformedError("not JSON", where="arguments") from error
+        brought: list[dict[str, Any]] = []
+
+        def hear(item: dict[str, Any]) -> None:
+            brought.append(item)
+            if told is not None:
+                told(item)
+
+        answer = await self.plan(data, key=key, dialect="json", told=hear)
+        (step, *_) = answer["steps"]
+        return Asked(step=step, brought=tuple(brought), repeated=answer["repeated"])
+
+    async def plan(
+        self,
+        data: bytes,
+        *,
+        dialect: str = "auto",
+        key: str | None = None,
+        told: Callable[[dict[str, Any]], None] | None = None,
+    ) -> dict[str, Any]:
+        """Propose a plan as it was written; return the gate's answer. The `turn` is held.
+
+        Args:
+            data: what the planner wrote, byte for byte; untrusted.
+            dialect: how it is written; `auto` leaves that to the gate.
+            key: names the proposal, so that asking again is the same one.
+            told: called with each thing that the gate tells before the answer.
+
+        Raises:
+            AuthGuardError: nothing was decided.
+            LostError: the gate went after it was asked.
+        """
+        gate = await self.connected()
+        try:
+            return await self.turn.kept(gate.propose(data, key=key, dialect=dialect, on_step=told))
+        except AuthGuardError as error:
+            if not gate.is_open:
+                raise LostError(error) from error
+            raise
+
+    async def unreadable(self, tool: str, text: str) -> None:
+        """Hand in what was written for a call and is none: the gate refuses it, and logs that.
+
+        Args:
+            tool: whose call it was to be; untrusted.
+            text: as it was written, of which the log has the beginning; untrusted.
+
+        Raises:
+            AuthGuardError: the gate did not answer.
+        """
+        said = f"unreadable arguments of {tool}: {text}"[:MAX_NOTED]  # never JSON: it begins so
+        async with self.turn:
+            gate = await self.connected()
+            said_bytes = said.encode(errors="backslashreplace")
+            await self.turn.kept(gate.propose(said_bytes, dialect="json"))
+
+    async def note(self, texts: Iterable[str], channel: str = UNTOLD) -> None:
+        """Tell the gate what the planner is about to see.
+
+        Args:
+            texts: untrusted.
+            channel: what they come by; the least trusted of all where nobody says.
+
+        Raises:
+            AuthGuardError: it did not take note.
+        """
+        gate = await self.connected()
+        for text in texts:
+            for at in range(0, max(len(text), 1), MAX_NOTED):
+                await gate.observe(channel, text[at : at + MAX_NOTED])
+
+    async def connected(self) -> AsyncGateClient:
+        """Return the gate as a planner reaches it, connected anew where it was lost.
+
+        Raises:
+            AuthGuardError: it is not there, or not the one that it has to be.
+        """
+        if self._is_over:
+            raise EnvironmentFault("this end was closed", reason=Reason.CONTROLLER_FAILED)
+        return await self._kept.connected()
+
+    async def close(self) -> None:
+        """Let go of the gate for good: who still waits for a turn asks nothing."""
+        self._is_over = True
+        await self._kept.close()

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the users that a configuration names keep apart what must be apart.
+
+A role is a user's, so two roles of one user are one: a planner that is also the controller goes
+round the gate, one that is also the estimator tells it what to believe.
+How-to: docs/howto/deploy.md
+"""
+
+from __future__ import annotations
+
+import pwd
+from collections.abc import Iterator
+
+from authguard_r.access.gate_config import GateConfig, Peer
+from authguard_r.access.peers import OVERFLOW_UID
+from authguard_r.operations.checkup.advice import Advice, Code, unsafe, warning
+from authguard_r.wire.disclosure import Disclosure
+from authguard_r.wire.messages import ClientRole, Mode
+
+_APART = "give the planner a user of its own: authguard gate-config make"
+#: What a planner's user must never be as well, and what follows when it is.
+_NEVER: dict[ClientRole, str] = {
+    ClientRole.CONTROLLER: "a planner could drive the robot round the gate",
+    ClientRole.ESTIMATOR: "a planner could tell the gate what to believe",
+}
+#: What a planner's user should not be as well; what is signed still holds.
+_BETTER_NOT: dict[ClientRole, str] = {
+    ClientRole.OPERATOR: "a planner could ask what would be allowed, and read the log",
+    ClientRole.AUDITOR: "a planner could read the log, with every field that failed",
+}
+#: Without somebody in these roles nothing moves, or nobody can give an order.
+_NEEDED = (
+    ClientRole.PLANNER,
+    ClientRole.CONTROLLER,
+    ClientRole.ESTIMATOR,
+    ClientRole.OPERATOR,
+)
+
+
+def user_name(uid: int) -> str | None:
+    """Return a user's name on this machine; None when it knows no such user."""
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return None
+
+
+def user_advice(config: GateConfig, *, uid: int | None) -> Iterator[Advice]:
+    """Yield everything that the configured users do not keep apart.
+
+    Args:
+        config: the configuration, signed or about to be.
+        uid: the user that the gate runs as; None: it is not known yet.
+    """
+    if uid == 0:
+        yield _root("gate", "the gate runs as root: a fault in it is everybody's", unsafe_too=True)
+    for number, peer in enumerate(config.peers):
+        yield from _peer_advice(peer, f"gate.peers[{number}]", uid=uid)
+    taken = {role for peer in config.peers for role in peer.roles}
+    for role in (role for role in _NEEDED if role not in taken):
+        yield warning(
+            "users",
+            Code.VACANT_ROLE,
+            f"nobody may be `{role}` here",
+            place="gate.peers",
+            mend=f"--peer USER:{role}",
+        )
+
+
+def _peer_advice(peer: Peer, place: str, *, uid: int | None) -> Iterator[Advice]:
+    name = user_name(peer.uid)
+    who = f"`{name}` ({peer.uid})" if name else f"user {peer.uid}"
+    planner = ClientRole.PLANNER in peer.roles
+    if peer.uid == OVERFLOW_UID:
+        message = f"{who} stands for everybody whom a machine does not know"
+        yield unsafe("users", Code.USER, message, place=place, mend="name a user of its own")
+    elif name is None:
+        message = f"{who} does not exist on this machine"
+        yield warning("users", Code.USER, message, place=place, mend=f"useradd -u {peer.uid} NAME")
+    if ClientRole.GATE in peer.roles:
+        message = f"{who} is `{ClientRole.GATE}`: only a gate's own user is that, wherever it runs"
+        yield unsafe("users", Code.USER, message, place=place, mend="leave the role out")
+    if peer.uid == 0:
+        yield _root(place, f"root is {', '.join(peer.roles)}", unsafe_too=planner)
+    if planner:
+        yield from _planner_advice(peer, who, place, uid=uid)
+
+
+def _planner_advice(peer: Peer, who: str, place: str, *, uid: int | None) -> Iterator[Advice]:
+    told = [(role, why, unsafe) for role, why in _NEVER.items() if role in peer.roles]
+    told += [(role, why, warning) for role, why in _BETTER_NOT.items() if role in peer.roles]
+    if peer.mediates:  # the planners for which it asks are other users, as was signed
+        told = []
+    for role, why, make in told:
+        message = f"{who} is planner and {role}: {why}"
+        yield make("users", Code.SHARED_USER, message, place=place, mend=_APART)
+    if peer.uid == uid:
+        message = f"{who} is planner and runs the gate: nothing is apart"
+        yield unsafe("users", Code.SHARED_USER, message, place=place, mend=_APART)
+
+
+def config_advice(config: GateConfig) -> Iterator[Advice]:
+    """Yield what a configuration switches off."""
+    if config.mode is Mode.SHADOW:
+        yield warning(
+            "mode",
+            Code.SHADOW,
+            "shadow: everything is judged and recorded, nothing is held or released",
+            place="gate.mode",
+            mend="sign one with `mode: enforce` when the trial is over",
+        )
+    if config.disclosure is Disclosure.FULL:
+        yield warning(
+            "disclosure",
+            Code.DISCLOSURE,
+            "`full`: a planner is told what was expected, and can feel its way along the limits",
+            place="gate.disclosure",
+            mend="sign one with `disclosure: fields`, or `codes`",
+        )
+    for field in ("planner_silence_ms", "estimator_silence_ms", "refusals"):
+        if getattr(config, field) == 0:
+            yield warning(
+                "alerts",
+                Code.SILENT,
+                f"`{field}` is 0: that alert never comes",
+                place=f"gate.{field}",
+                mend="sign a configuration with a bound",
+            )
+    yield from _reader_advice(config)
+
+
+def _reader_advice(config: GateConfig) -> Iterator[Advice]:
+    """Whether anybody can make the decisions of the log again; what is not sealed, anybody can."""
+    sealed = {data for reader in config.readers for data in reader.classes}
+    if sealed and not any(sealed.issubset(reader.classes) for reader in config.readers):
+        yield warning(
+            "readers",
+            Code.READERS,
+            f"nobody may read all of {', '.join(sorted(sealed))}: nobody can replay this log",
+            place="gate.readers",
+            mend="name a reader of all that is sealed: authguard audit reader",
+        )
+
+
+def _root(place: str, message: str, *, unsafe_too: bool) -> Advice:
+    make = unsafe if unsafe_too else warning
+    mend = "run it as a user of its own: deploy/sysusers.d/authguard-r.conf"
+    return make("users", Code.ROOT_USER, message, place=place, mend=mend)

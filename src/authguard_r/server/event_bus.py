@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What everybody who watches is told, and alerts, which are recorded first.
+
+Spec page: docs/spec/gate-protocol.md#alerts
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from authguard_r.audit.record import NONE, Entry
+from authguard_r.enforcement.leases import quietly
+from authguard_r.server.event_log import Journal
+from authguard_r.server.fair_queue import Client
+from authguard_r.store.transactions import Ledger
+
+
+class Notices:
+    """Tells those who watch.
+
+    Args:
+        ledger: the time, and where alerts are recorded.
+        clients: who is connected.
+        journal: for whoever runs the machine.
+    """
+
+    def __init__(
+        self, ledger: Ledger, clients: Callable[[], Iterable[Client]], journal: Journal
+    ) -> None:
+        self._ledger = ledger
+        self._clients = clients
+        self._journal = journal
+
+    @property
+    def wanted(self) -> bool:
+        """True when somebody watches: what nobody reads need not be written."""
+        return any(client.watching is not None for client in self._clients())
+
+    def publish(self, event: dict[str, Any]) -> None:
+        """Tell everybody who watches, and the journal."""
+        self._journal.event(event)
+        if not self.wanted:
+            return
+        now = quietly(self._ledger.now)
+        told = {"time_ms": None if now is None else now.utc_ms, **event}
+        for client in tuple(self._clients()):
+            if client.watching is not None:
+                client.event(client.watching, told)
+
+    def alert(self, what: str, details: dict[str, Any]) -> None:
+        """Record an alert and tell everybody who watches."""
+
+        def entry(at: int) -> Entry:
+            opened = {"what": what, **details}
+            return Entry(kind="alert", time_ms=at, decision="alert", mid=NONE, open=opened)
+
+        quietly(lambda: self._ledger.note(entry, essential=True))
+        self.publish({"event": "alert", "what": what, **details})

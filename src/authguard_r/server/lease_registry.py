@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every open lease of the gate: looked at together, renewed while it holds, settled at its end.
+
+Spec page: docs/spec/gate-protocol.md#watching
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from msgspec import Struct
+
+from authguard_r.core.action import Action
+from authguard_r.core.identifiers import ActionType, Digest, Identifier
+from authguard_r.core.lease import Lease
+from authguard_r.enforcement.emergency_enforcer import Relief, Rescued
+from authguard_r.enforcement.leases import Running
+from authguard_r.enforcement.report import Report
+from authguard_r.server.remote_controller import RemoteController
+from authguard_r.server.streams import Streams
+from authguard_r.wire.messages import Result
+
+
+class OpenLease(Struct, frozen=True, kw_only=True):
+    """What `status` says of an open lease; times on the gate's monotonic clock."""
+
+    ticket: Digest
+    action: ActionType
+    since_ms: int
+    until_ms: int
+
+
+class _Moving(Protocol):
+    """What moves: a released action, or an emergency."""
+
+    lease: Lease
+    since_ms: int
+
+    @property
+    def action(self) -> Action: ...
+
+    @property
+    def holds(self) -> bool: ...
+
+    def poll(self) -> Report | Rescued | None: ...
+
+
+class _Motion(Struct, frozen=True):
+    running: _Moving
+    ended: Callable[[Any], None]
+    told: Callable[[Result], None] | None = None
+
+
+class Motions:
+    """The released actions whose outcome is not recorded yet.
+
+    Args:
+        controller: is told which leases still hold; None where nobody has to be.
+        streams: what may be sampled while it runs; None where nothing can be.
+    """
+
+    def __init__(self, controller: RemoteController | None, streams: Streams | None) -> None:
+        self._controller = controller
+        self._streams = streams
+        self._open: dict[Digest, _Motion] = {}
+        #: done after each look: what is not a motion yet
+        self.beside: list[Callable[[], None]] = []
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def add(
+        self,
+        client: Identifier,
+        running: Running,
+        ended: Callable[[Report], None],
+        *,
+        gone: Callable[[], bool],
+        told: Callable[[Result], None] | None = None,
+    ) -> None:
+        """Watch an action of a client.
+
+        Args:
+            client: its planner.
+            running: the released action.
+            ended: called once, with its final report.
+            gone: true once the planner is not connected any more.
+            told: called with everything that it brings to light while it runs.
+        """
+        self._open[running.lease.ticket] = _Motion(running, ended, told)
+        streams = self._streams
+        if streams is not None:
+            streams.begin(client, running, gone)
+            running.before_outcome(lambda: streams.ended(running.lease.ticket))
+
+    def rescue(self, relief: Relief, ended: Callable[[Rescued], None]) -> None:
+        """Watch an emergency; `ended` is called once, with what became of it."""
+        self._open[relief.lease.ticket] = _Motion(relief, ended)
+
+    def tell(self, result: Result) -> None:
+        """Pass on what a running action brought to light; what comes after its end is dropped."""
+        motion = self._open.get(result.ticket)
+        if motion is not None and motion.told is not None:
+            motion.told(result)
+
+    def look(self) -> None:
+        """Look at every open lease once."""
+        if self._controller is not None:
+            self._controller.check()
+        if self._streams is not None:
+            self._streams.record()
+        for ticket, motion in tuple(self._open.items()):
+            report = motion.running.poll()
+            if report is not None:
+                self._end(ticket, motion, report)
+            elif motion.running.holds and self._controller is not None:
+                self._controller.renew(ticket)
+        for look in self.beside:
+            look()
+
+    def leases(self) -> tuple[OpenLease, ...]:
+        """Return what is open."""
+        return tuple(
+            OpenLease(
+                ticket=ticket,
+                action=motion.running.action.type,
+                since_ms=motion.running.since_ms,
+                until_ms=motion.running.lease.until_mono_ms,
+            )
+            for ticket, motion in self._open.items()
+        )
+
+    def _end(self, ticket: Digest, motion: _Motion, report: Report | Rescued) -> None:
+        del self._open[ticket]
+        if self._controller is not None:
+            self._controller.forget(ticket)
+        motion.ended(report)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the gate's loop does for its log: checkpoints, witnesses, segments, and what it tells.
+
+Spec page: docs/spec/rollback.md#checkpoints, docs/spec/store.md#rotation
+"""
+
+from __future__ import annotations
+
+from authguard_r.access.gate_config import GateConfig
+from authguard_r.anchoring.anchor import WHAT, Anchor, Told
+from authguard_r.anchoring.checkpoint_scheduler import NotaryPolicy
+from authguard_r.anchoring.quorum import WitnessPolicy
+from authguard_r.anchoring.rotation import Rotation, RotationPolicy
+from authguard_r.server.event_bus import Notices
+from authguard_r.server.liveness import Liveness
+
+
+def notary_policy(config: GateConfig) -> NotaryPolicy:
+    """Return when checkpoints are made, and who witnesses them."""
+    return NotaryPolicy(
+        records=config.checkpoint_records,
+        every_ms=config.checkpoint_ms,
+        witnesses=WitnessPolicy(
+            places=config.witnesses, quorum=config.quorum, silence_ms=config.witness_ms
+        ),
+    )
+
+
+def rotation_policy(config: GateConfig) -> RotationPolicy:
+    """Return when the oldest records go into a segment."""
+    return RotationPolicy(records=config.segment_records, witnessed=config.quorum > 0)
+
+
+class Vigil:
+    """Watches over what lies outside of the store.
+
+    Args:
+        anchor: the store, and what is outside of it.
+        liveness: keeps alerts for `status`.
+        notices: records and publishes them.
+    """
+
+    def __init__(self, anchor: Anchor, liveness: Liveness, notices: Notices) -> None:
+        self._anchor = anchor
+        self._liveness = liveness
+        self._notices = notices
+        #: Moves the oldest records out of the store; None where there is no file.
+        self.rotation: Rotation | None = None
+
+    def begin(self) -> None:
+        """Tell of a store that was put back before the gate started."""
+        for told in self._anchor.put_back():
+            self._tell(told)
+
+    def look(self) -> None:
+        """Make a checkpoint if one is due, see to the witnesses, move records, tell of all that."""
+        for told in self._anchor.tick():
+            self._tell(told)
+        if self._anchor.put_back():
+            return
+        self._liveness.end(WHAT)  # a person has accepted the store, if it was put back
+        if self.rotation is not None:
+            for told in self.rotation.tick():
+                self._tell(told)
+
+    def _tell(self, told: Told) -> None:
+        if told.over:
+            self._liveness.end(told.what)
+        elif told.recorded:
+            self._liveness.tell(told.what, told.details)
+            self._notices.publish({"event": "alert", "what": told.what, **told.details})
+        else:
+            self._liveness.alert(told.what, told.details)

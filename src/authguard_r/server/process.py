@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate's process from its start to its end: what it takes hold of, in which order, and lets go.
+
+Order matters: the robot's name first, then the store, then recovery, then the stop lane, and only
+then clients. A gate that cannot have all of them serves nobody.
+Spec page: docs/spec/gate-protocol.md#start-and-end
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import resource
+import shutil
+import signal
+import socket
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import partial
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from authguard_r.access.gate_config import GateConfig
+from authguard_r.anchoring.rotation import Rotation
+from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.stored_policy import hold_policy
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource
+from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.leases import WATCH_MS
+from authguard_r.estop.supervisor import LaneKeeper
+from authguard_r.normalize import Binder
+from authguard_r.normalize.binding import binding_digest
+from authguard_r.safety import gate_of, safety_digest
+from authguard_r.server.configurations import hold_configured
+from authguard_r.server.emergency_wiring import open_journal, open_road
+from authguard_r.server.event_log import Journal
+from authguard_r.server.log_maintenance import notary_policy, rotation_policy
+from authguard_r.server.parts import Parts
+from authguard_r.server.periodic import every
+from authguard_r.server.plan_reader import Reader
+from authguard_r.server.recovery import Recovery
+from authguard_r.server.remote_controller import RemoteController, ShadowController
+from authguard_r.server.robot_lock import ANSWER_S, Lock, hold_robot, root_fingerprint
+from authguard_r.server.service import Service
+from authguard_r.server.state_inbox import Inbox
+from authguard_r.server.streams import Streams
+from authguard_r.server.wiring import Gate, assemble
+from authguard_r.sim.robot import SymbolicRobot
+from authguard_r.site.model import stopping_mm
+from authguard_r.store.clocks import SIMULATED, SystemClock
+from authguard_r.store.refusals import RefusalPolicy
+from authguard_r.store.sqlite import SqliteStore, open_store
+from authguard_r.wire.messages import Mode
+
+#: The clients' socket, in the run folder.
+SOCKET = "gate.sock"
+#: Refusals wait this long for somebody else's commit, in milliseconds.
+DELAY_MS = 100
+#: The longest that a safety checker may hold up the looks at open leases, in milliseconds.
+ASKED_MS = 50
+#: What is added to the process's niceness, where the machine lets it.
+PRIORITY = -5
+#: Connections that the kernel keeps until they are taken.
+_BACKLOG = 1_024
+#: The most that one look takes a simulation nearer to the machine's clock, in milliseconds.
+CATCH_UP_MS = 10_000
+#: Connections taken at a time: those refused let go of their files before many more are taken.
+_AT_ONCE = 16
+
+
+class Rendezvous(Struct, frozen=True, kw_only=True):
+    """Lies beside a store that a gate holds, and says where its clients go."""
+
+    socket: str
+    pid: int
+    robot: RobotId
+
+
+class _Mounted(Struct, frozen=True):
+    """The ports of one gate, as its mode and its robot want them."""
+
+    controller: Controller
+    remote: RemoteController | None
+    source: StateSource
+    inbox: Inbox
+    clock: Clock
+
+
+def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
+    """Serve clients until SIGTERM or SIGINT; returns after everything is written and let go.
+
+    Args:
+        parts: what it is started with.
+        ready: called once, when clients can connect.
+
+    Raises:
+        EnvironmentFault: another gate serves this robot, or a part cannot be used.
+        StoreError: the store cannot be used.
+        AuthenticityError: the gate's own certificate does not hold.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
+    with suppress(OSError):
+        os.nice(PRIORITY)  # whoever floods the machine waits for the robot, not the robot for him
+    with ExitStack() as held:
+        lock = _hold(parts)
+        held.callback(lock.release)
+        mounted = _mount(parts)
+        safety = gate_of(parts.safety, asked_ms=ASKED_MS)
+        store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
+        gate = _assemble(parts, mounted, store, safety)
+        held.callback(gate.close)
+        gate.enforcer.before_first(lambda: None)
+        if mounted.remote is not None:
+            mounted.remote.keep_time(gate.ledger.mono_ms)
+        recovery = Recovery(gate.management, first=partial(hold_configured, parts, gate.management))
+        recovery.begin()
+        service = Service(
+            gate,
+            parts.config,
+            binder=Binder(parts.site, parts.binding),
+            reader=Reader(parts.site, parts.binding),
+            channels=dict(parts.site.channels),
+            signer=parts.signer,
+            inbox=mounted.inbox,
+            controller=mounted.remote,
+            streams=_streams(parts, gate, mounted.remote),
+            recovery=recovery,
+            journal=Journal(parts.journal),
+            advance=_advance(parts),
+        )
+        service.view.free_bytes = partial(_free_bytes, parts.store.absolute().parent)
+        service.vigil.rotation = _rotation(parts, gate, store)
+        service.vigil.begin()
+        _rescue(parts, service, mounted.remote, held)
+        keeper = _keeper(parts, service, mounted.remote, held)
+        asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
+        if gate.ended():
+            recovery.end()
+        else:  # it starts as after a crash, and somebody is told why
+            service.notices.publish({"event": "alert", "what": "refusals could not be recorded"})
+
+
+def _rescue(
+    parts: Parts, service: Service, remote: RemoteController | None, held: ExitStack
+) -> None:
+    """Open the emergency road, if a policy was signed; its journal first, then the log."""
+    if parts.emergency is None:
+        return
+    beside = parts.store.with_name(f"{parts.store.name}.emergency")
+    journal = open_journal(parts.emergency.journal or beside, service.gate.ledger, parts.signer)
+    held.callback(journal.close)
+    road = open_road(service, parts.emergency.policy, journal, controller=remote)
+    held.callback(road.log.flush)
+
+
+def _hold(parts: Parts) -> Lock:
+    root = root_fingerprint(parts.trust.root)
+    return hold_robot(parts.config.robot, root, run=parts.run, key=parts.key, store=parts.store)
+
+
+def _mount(parts: Parts) -> _Mounted:
+    """Return the ports: a connected controller and estimator, none in shadow, or a simulation."""
+    robot, clock, inbox = parts.simulated, SystemClock(), Inbox()
+    shadow = parts.config.mode is Mode.SHADOW
+    if robot is not None:
+        return _Mounted(ShadowController() if shadow else robot, None, robot, inbox, robot)
+    if shadow:
+        return _Mounted(ShadowController(), None, inbox, inbox, clock)
+    remote = RemoteController(renew_within_ms=parts.config.renew_within_ms)
+    return _Mounted(remote, remote, inbox, inbox, clock)
+
+
+def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore, safety: SafetyGate) -> Gate:
+    named = {"binding": binding_digest(parts.binding), "safety": safety_digest(parts.safety)}
+    clock = {"clock": SIMULATED} if parts.simulated is not None else {}
+    sealing = SealingPolicy(readers=parts.config.readers, retention=parts.config.retention)
+    gate = assemble(
+        trust=parts.trust,
+        chain=parts.signer.chain,
+        site=parts.site,
+        safety=safety,
+        controller=mounted.controller,
+        source=mounted.source,
+        clock=mounted.clock,
+        store=store,
+        genesis={**named, **clock},
+        sealed={"safety": parts.safety},
+        demo=parts.demo,
+        refusals=_policy(parts.config),
+        stand_within_ms=parts.config.stand_within_ms,
+        marks={"mode": str(Mode.SHADOW)} if parts.config.mode is Mode.SHADOW else {},
+        risk=() if parts.risk is None else (parts.risk.policy.policy,),
+        counter=parts.counter,
+        signer=parts.signer,
+        notary=notary_policy(parts.config),
+        sealing=sealing,
+    )
+    hold_policy(store, sealing)  # once it is known that the store is this gate's
+    return gate
+
+
+def _rotation(parts: Parts, gate: Gate, store: SqliteStore) -> Rotation:
+    return Rotation(
+        gate.ledger,
+        store,
+        robot=parts.config.robot,
+        signer=parts.signer,
+        policy=rotation_policy(parts.config),
+    )
+
+
+def _policy(config: GateConfig) -> RefusalPolicy:
+    """Return what waits and what is counted; a shadow run is there to be read, so nothing is."""
+    shadow = config.mode is Mode.SHADOW
+    return RefusalPolicy(
+        delay_ms=DELAY_MS,
+        fold_ms=0 if shadow else config.fold_ms,
+        users=len({peer.uid for peer in config.peers}) + 1,  # and the one whom nobody named
+    )
+
+
+def _streams(parts: Parts, gate: Gate, remote: RemoteController | None) -> Streams | None:
+    if remote is None:
+        return None
+    profile = parts.site.robots[parts.config.robot].profile
+    streams = Streams(
+        gate.ledger,
+        remote,
+        facts=gate.facts,
+        stopping_mm=partial(stopping_mm, profile),
+        state=lambda: gate.enforcer.intake.newest,
+    )
+    remote.admit_with(streams.admit)
+    return streams
+
+
+def _advance(parts: Parts) -> Callable[[bool], None] | None:
+    robot = parts.simulated
+    if robot is None:
+        return None
+    pace = _Pace(robot)
+    pace(moving=False)  # what the start has taken
+    return pace
+
+
+class _Pace:
+    """How simulated time passes: a look at a time while something moves, else as all clocks go.
+
+    A mission that begins now by its author's clock is not to wait for a simulation that lost time;
+    one that is ahead, for it has moved, goes on as fast as time does, however often it is asked.
+    """
+
+    def __init__(self, robot: SymbolicRobot) -> None:
+        self._robot, self._clock = robot, SystemClock()
+        self._asked_ms = self._clock.mono_ms()
+
+    def __call__(self, moving: bool) -> None:  # noqa: FBT001 - one of two paces
+        robot, now_ms = self._robot, self._clock.mono_ms()
+        passed_ms, self._asked_ms = now_ms - self._asked_ms, now_ms
+        behind_ms = min(self._clock.wall_ms() - robot.wall_ms(), CATCH_UP_MS)
+        robot.pause(WATCH_MS if moving else max(behind_ms, passed_ms))
+        del robot.trace[:-1]  # a process lives long
+
+
+def _free_bytes(folder: Path) -> int:
+    return shutil.disk_usage(folder).free
+
+
+def _is_alive(keeper: LaneKeeper) -> bool:
+    return keeper.alive
+
+
+def _keeper(
+    parts: Parts, service: Service, remote: RemoteController | None, held: ExitStack
+) -> LaneKeeper | None:
+    """Start the stop lane, unless one serves already; one that we started ends with us."""
+    if parts.lane is None:
+        return None
+    keeper = LaneKeeper(parts.lane)
+    held.callback(keeper.end)
+    keeper.start()
+    service.view.lane_alive = partial(_is_alive, keeper)
+    if remote is not None:
+        remote.ask_with(keeper.sync)
+        remote.can_stop = partial(_is_alive, keeper)
+    return keeper
+
+
+async def _serve(
+    parts: Parts,
+    service: Service,
+    keeper: LaneKeeper | None,
+    *,
+    lock: Lock,
+    ready: Callable[[Rendezvous], None],
+) -> None:
+    """Listen, say so, and serve until somebody ends it."""
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    answering = asyncio.ensure_future(every(ANSWER_S, lock.answer))
+    keeping = await _keep(keeper, service)
+    path = parts.run / SOCKET
+    server = await _listen(path, service)
+    told = Rendezvous(socket=str(path.absolute()), pid=os.getpid(), robot=parts.config.robot)
+    beside = parts.store.with_name(f"{parts.store.name}.gate")
+    beside.write_bytes(msgspec.json.encode(told))
+    gc.collect()
+    gc.freeze()  # what was loaded stays: the collector need not go through it in mid-motion
+    try:
+        if service.desk.rescues is not None:
+            service.desk.rescues.closing = ended.is_set
+        ready(told)
+        await service.run(ended)
+    finally:
+        answering.cancel()
+        keeping.cancel()
+        server.close()
+        beside.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+
+
+async def _keep(keeper: LaneKeeper | None, service: Service) -> asyncio.Future[None]:
+    """Hear of stops from now on, those before the start included; then clients may come."""
+    if keeper is None:
+        return asyncio.get_running_loop().create_future()
+    connected = asyncio.Event()
+    keeping = asyncio.ensure_future(keeper.keep(service.stops, connected.set))
+    await connected.wait()
+    return keeping
+
+
+async def _listen(path: Path, service: Service) -> asyncio.Server:
+    """Listen at the path; the robot's lock is ours, so a socket that lies there is a dead one's."""
+    path.unlink(missing_ok=True)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        listener.bind(str(path))
+        server = await asyncio.get_running_loop().create_unix_server(
+            service.connect, sock=listener, backlog=_AT_ONCE
+        )
+        listener.listen(_BACKLOG)
+        path.chmod(0o660)  # the folder and its group say who may reach it
+    except OSError as error:
+        listener.close()
+        raise EnvironmentFault(
+            f"cannot listen: {error.strerror or error}",
+            reason=Reason.STORE_UNAVAILABLE,
+            where=str(path),
+        ) from error
+    return server
+
+
+__all__ = ["SOCKET", "Rendezvous", "run_gate"]

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proposals under their idempotency keys: a repeat is answered from what is recorded.
+
+What had an effect is held in the store, in the same turn as the effect, so that a client that lost
+its connection, or a gate that lost its power, never makes one proposal into two. What was refused
+is remembered for a while only: deciding it again changes nothing.
+Spec page: docs/spec/gate-protocol.md#idempotency
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+from msgspec import Struct, structs
+
+from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
+from authguard_r.core.encoding import encode_fast
+from authguard_r.core.errors import RefusedError, StoreError
+from authguard_r.core.identifiers import Digest, Identifier
+from authguard_r.core.ports import Turn
+from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.report import Report
+from authguard_r.server.replayed_response import retold
+from authguard_r.store.transactions import Act, Ledger, read_held
+from authguard_r.wire.disclosure import Disclosure, disclosed
+
+#: Answers that are remembered beside the store.
+_MOST_KNOWN = 1_024
+_KIND = "proposal"
+
+
+class Answered(Struct, frozen=True, kw_only=True):
+    """What became of a proposal so far.
+
+    Args:
+        evidence: digest of the planner's exact bytes.
+        planned: steps of the plan.
+        steps: what the planner is told of each step that was reached.
+        on_refusal: what the enforcer did after a refusal.
+    """
+
+    evidence: Digest
+    planned: int
+    steps: tuple[dict[str, Any], ...]
+    on_refusal: str | None = None
+
+
+#: Numbers of a step's records in the log: its decision, its outcome (-1 while there is none).
+Numbers = tuple[int, int]
+
+
+class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is held of a proposal: where the log has it.
+
+    Args:
+        evidence: digest of the planner's exact bytes.
+        planned: steps of the plan.
+        steps: of each step that had an effect.
+    """
+
+    evidence: Digest
+    planned: int
+    steps: tuple[Numbers, ...]
+
+
+class Keeper:
+    """Holds one step of a proposal in the turn of its decision and of its outcome.
+
+    Args:
+        client: whose proposal it is.
+        key: its key.
+        before: what is held of it without this step.
+    """
+
+    def __init__(self, client: Identifier, key: str, before: Kept) -> None:
+        self._place = _place(client, key)
+        self._before = before
+        self.numbers: tuple[Numbers, ...] = ()
+
+    def __call__(self, act: Act, report: Report, seq: int) -> None:
+        """Hold the number of the record that this turn has just made (`running.Keep`)."""
+        self.numbers = ((seq, -1),) if report.outcome is None else ((self._decided(), seq),)
+        steps = (*self._before.steps, *self.numbers)
+        act.put(_KIND, self._place, encode_fast(structs.replace(self._before, steps=steps)))
+
+    def _decided(self) -> int:
+        return self.numbers[0][0]
+
+
+class Proposals:
+    """What is recorded of proposals, by client and key.
+
+    Args:
+        ledger: where effects are held.
+        disclosure: how much a planner is told.
+    """
+
+    def __init__(self, ledger: Ledger, disclosure: Disclosure) -> None:
+        self._ledger = ledger
+        self._disclosure = disclosure
+        self._known: OrderedDict[str, Answered] = OrderedDict()
+
+    def recall(self, client: Identifier, key: str, evidence: Digest) -> Answered | None:
+        """Return what became of an earlier proposal under this key, None for a new one.
+
+        Raises:
+            RefusedError: another plan came under it (`KEY_REUSED`).
+            StoreError: the store cannot be read, or does not hold what it says.
+        """
+        place = _place(client, key)
+        known = self._known.get(place) or self._ledger.peek(lambda turn: self._told(turn, place))
+        if known is not None:
+            require_same_plan(known.evidence, evidence)
+        return known
+
+    def _told(self, turn: Turn, place: str) -> Answered | None:
+        """Return what is held under a key, told again from the log."""
+        held = turn.get(_KIND, place)
+        if held is None:
+            return None
+        kept = read_held(held, Kept, _KIND)
+        steps = tuple(disclosed(self._step(turn, *n), self._disclosure) for n in kept.steps)
+        return Answered(evidence=kept.evidence, planned=kept.planned, steps=steps)
+
+    def _step(self, turn: Turn, decided: int, ended: int) -> dict[str, Any]:
+        decision, sealed = self._record(turn, decided)
+        if ended < 0:
+            return retold(decision, sealed, None, {})
+        return retold(decision, sealed, *self._record(turn, ended))
+
+    def _record(self, turn: Turn, number: int) -> tuple[Record, dict[str, Sealed]]:
+        rows = turn.rows(number, 1)
+        where = f"record {number}"
+        if not rows:
+            raise StoreError("the log has no such record", where=where, reason=Reason.STORE_CORRUPT)
+        row = self._ledger.opened(rows[0])
+        return read_record(row.record, where=where), read_sealed(row.sealed, where=where)
+
+    def remember(self, client: Identifier, key: str, answered: Answered) -> None:
+        """Remember an answer for a while."""
+        self._known[_place(client, key)] = answered
+        if len(self._known) > _MOST_KNOWN:
+            self._known.popitem(last=False)
+
+
+def require_same_plan(known: Digest, evidence: Digest) -> None:
+    """Require that a key names one plan only.
+
+    Raises:
+        RefusedError: another plan came under it (`KEY_REUSED`).
+    """
+    if known != evidence:
+        raise RefusedError(
+            "another plan came under this key; a new one needs a new key",
+            reason=Reason.KEY_REUSED,
+            where="proposal.key",
+        )
+
+
+def _place(client: Identifier, key: str) -> str:
+    return f"{client} {key}"  # neither may hold a space

@@ -1,0 +1,404 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process's one loop: connections, turns, clocks. It decides nothing and waits for nobody.
+
+Everything runs in one thread, so there is nothing to lock and nothing to race: what a turn does is
+done when the next one begins. A disk that hangs holds the turn, and then no lease is renewed: the
+controller stops by itself. Spec page: docs/spec/gate-protocol.md
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+
+from authguard_r.access.gate_config import GateConfig
+from authguard_r.access.handshake import welcome_of
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.core.identifiers import Identifier
+from authguard_r.core.principals import Signer
+from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.json_views import report_json
+from authguard_r.enforcement.leases import quietly
+from authguard_r.enforcement.report import Report, refusal_entry
+from authguard_r.normalize import Binder
+from authguard_r.server.braking import Braking, brakes_of
+from authguard_r.server.dispatcher import Desk
+from authguard_r.server.event_bus import Notices
+from authguard_r.server.event_log import Journal
+from authguard_r.server.fair_queue import Client, Ring
+from authguard_r.server.lease_registry import Motions
+from authguard_r.server.liveness import Liveness
+from authguard_r.server.log_maintenance import Vigil
+from authguard_r.server.periodic import every, first
+from authguard_r.server.plan_reader import Reader
+from authguard_r.server.plans import Plans
+from authguard_r.server.proposals import Proposals
+from authguard_r.server.queries import View
+from authguard_r.server.recovery import Recovery
+from authguard_r.server.remote_controller import RemoteController
+from authguard_r.server.retention import Retirement
+from authguard_r.server.sessions import Session
+from authguard_r.server.state_inbox import Inbox
+from authguard_r.server.stop_recorder import StopBook
+from authguard_r.server.streams import Streams
+from authguard_r.server.what_if import Foresight
+from authguard_r.server.wiring import Gate
+from authguard_r.wire.frames import Frame
+from authguard_r.wire.messages import ClientRole, Hello, Kind, Mode, Welcome
+
+#: Open leases are looked at this often, in seconds; never more seldom than every 100 ms.
+LOOK_S = 0.05
+#: How often some boxes go whose keys are destroyed.
+SHRED_S = 0.05
+#: What waits to be recorded is recorded this often, in seconds.
+FLUSH_S = 0.1
+#: Silence is looked for this often, in seconds.
+LISTEN_S = 1.0
+#: Checkpoints that are due, and witnesses' answers, are looked for this often, in seconds.
+VIGIL_S = 0.1
+
+
+class Service:
+    """A gate and its clients (`gate.sessions.Hall`).
+
+    Args:
+        gate: enforcer, management, ledger.
+        config: the signed configuration.
+        binder: the planner's tools.
+        reader: reads long plans.
+        channels: the site's own channels, with their labels.
+        signer: the gate's own key, for proofs.
+        inbox: the estimator's channel, which the gate's intake reads.
+        controller: the controller's end; None where nothing is connected to anything: shadow
+            mode, or a robot in this process.
+        streams: what may be sampled while it runs; None where there is no controller.
+        recovery: settles what the last run left open.
+        journal: for whoever runs the machine.
+        advance: lets simulated time pass, told whether something moves; None where time is real.
+    """
+
+    def __init__(
+        self,
+        gate: Gate,
+        config: GateConfig,
+        *,
+        binder: Binder,
+        reader: Reader,
+        channels: dict[str, str],
+        signer: Signer,
+        inbox: Inbox,
+        controller: RemoteController | None,
+        streams: Streams | None,
+        recovery: Recovery,
+        journal: Journal,
+        advance: Callable[[bool], None] | None = None,
+    ) -> None:
+        self.gate = gate
+        self._config = config
+        self._signer = signer
+        self._binding = binder.digest
+        self._reader = reader
+        self._controller = controller
+        self._advance = advance
+        self._recovery = recovery
+        self._journal = journal
+        self._sessions: set[Session] = set()
+        self._clients: set[Client] = set()
+        self._users: Counter[int] = Counter()
+        self._ring = Ring(self._shed)
+        self._turning = self._closing = False
+        self._foresight = Foresight(gate, controller, wait_ms=config.state_wait_ms)
+        self.motions = Motions(controller, streams)
+        self.notices = Notices(gate.ledger, lambda: self._clients, journal)
+        self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
+        self.vigil = Vigil(gate.anchor, self.liveness, self.notices)
+        self.view = View(
+            gate,
+            config,
+            motions=self.motions,
+            liveness=self.liveness,
+            clients=lambda: self._clients,
+        )
+        self.retirement = Retirement(
+            gate.management, gate.ledger.mono_ms, self.liveness, self.view.mission_changed
+        )
+        self.stops, self._braking = self._stopping()
+        self.desk = self._desk = Desk(
+            gate,
+            plans=self._plans(binder, reader, channels),
+            motions=self.motions,
+            inbox=inbox,
+            view=self.view,
+            controller=controller,
+            streams=streams,
+            publish=self.notices.publish,
+            first=self._settle_before,
+            rest=partial(self._later, first=True),
+            answered=self._ring.done,
+            refused=lambda client, error: self.refused(client.name, error),
+        )
+
+    def _stopping(self) -> tuple[StopBook, Braking]:
+        """Return who writes stops down, and who carries out those that come to the gate itself."""
+        book = StopBook(
+            self.gate.enforcer,
+            self._controller,
+            view=self.view,
+            motions=self.motions,
+            liveness=self.liveness,
+            notices=self.notices,
+            mono_ms=self.gate.ledger.mono_ms,
+        )
+        return book, brakes_of(
+            self.gate, self._controller, self._config.mode, book=book, motions=self.motions
+        )
+
+    def _plans(self, binder: Binder, reader: Reader, channels: dict[str, str]) -> Plans:
+        return Plans(
+            self.gate.enforcer,
+            binder,
+            reader=reader,
+            motions=self.motions,
+            proposals=Proposals(self.gate.ledger, self._config.disclosure),
+            channels=channels,
+            foresight=self._foresight,
+            disclosure=self._config.disclosure,
+            shadow=self._config.mode is Mode.SHADOW,
+            later=self._later,
+            decided=self._decided,
+            ended=self._ended,
+            answered=self._ring.done,
+        )
+
+    # the hall
+
+    @property
+    def config(self) -> GateConfig:
+        """The signed configuration."""
+        return self._config
+
+    def connect(self) -> Session:
+        """Return the protocol of a new connection."""
+        session = Session(self, asyncio.get_running_loop().call_later)
+        self._sessions.add(session)
+        return session
+
+    def count(self, uid: int) -> int:
+        """Return how many connections a user has, with the one that asks."""
+        self._users[uid] += 1
+        return self._users[uid]
+
+    def welcome(self, hello: Hello) -> Welcome:
+        """Return the answer to a hello, with the proof that its nonce asks for."""
+        digests = {"site": self.gate.facts.digest, "binding": self._binding}
+        return welcome_of(hello, self._config, self._signer, **digests)
+
+    def entered(self, client: Client) -> None:
+        """Take a client in; the first controller keeps its place.
+
+        Raises:
+            ControllerError: there is a controller already.
+        """
+        if client.role is ClientRole.CONTROLLER and self._controller is not None:
+            self._controller.attach(client.tell)
+        self._clients.add(client)
+        self._hear(client)
+        self._announce(client, here=True)
+
+    def came(self, client: Client, item: Frame, *, alone: bool) -> None:
+        """Let a frame wait for its turn; one that comes alone when nobody waits has it now."""
+        self._hear(client)
+        if item.kind is Kind.STOP:  # before anybody's turn
+            self._braking.came(client, item, self.refused)
+            return
+        at_once = alone and not self._ring and not self._turning
+        self._ring.came(client, item)
+        if at_once:
+            self._turn()
+        else:
+            self._turn_soon()
+
+    def reads(self, client: Client) -> None:
+        """Serve what waits of a client that was put aside: it reads again, or it is gone."""
+        self._ring.reads(client)
+        self._turn_soon()
+
+    def left(self, session: Session, client: Client | None) -> None:
+        """Let a connection go; a controller that goes is looked at at once."""
+        self._sessions.discard(session)
+        self._users[session.uid] -= 1
+        self._users = +self._users  # who has none is forgotten
+        if client is None or client not in self._clients:
+            return
+        self._clients.discard(client)
+        if client.role is ClientRole.CONTROLLER and self._controller is not None:
+            self._controller.detach()
+            self.motions.look()
+        self._announce(client, here=False)
+
+    def refused(self, name: Identifier, error: AuthGuardError) -> None:
+        """Record a request, or a connection, that was refused before it was anything."""
+        self.view.counted["refused"] += 1
+        made, fold = partial(refusal_entry, error, client=name), (name, error.reason, error.where)
+        quietly(lambda: self.gate.ledger.refuse(made, fold=fold))
+
+    # turns
+
+    def _turn_soon(self) -> None:
+        if not self._turning:
+            self._turning = True
+            asyncio.get_running_loop().call_soon(self._turn)
+
+    def _turn(self) -> None:
+        """Serve one urgent request and one other, then let the loop read."""
+        self._turning = False
+        if self._advance is not None and not self.motions:
+            self._look()  # what is asked is asked of now
+        for client, item in self._ring.take():
+            try:
+                if isinstance(item, Frame):
+                    self._serve(client, item)
+                else:
+                    item()
+            except Exception as error:  # noqa: BLE001 - a fault of ours costs this client alone
+                name = type(error).__name__
+                self.refused(client.name, AuthGuardError(name, reason=Reason.INTERNAL_FAULT))
+                client.line.drop("a fault of the gate's own")
+        if self._ring:
+            self._turn_soon()
+        if self._advance is not None and self.motions:
+            self._look()
+
+    def _serve(self, client: Client, item: Frame) -> None:
+        """Serve a request; what the last run left open is settled with the first snapshot."""
+        self._desk.serve(client, item)
+        if self._recovery.after(item.kind):
+            self._recovered()
+
+    def _settle_before(self, kind: Kind) -> None:
+        if self._closing and kind in {Kind.PROPOSE, Kind.EMERGENCY}:
+            _refuse_all()
+        if self._recovery.before(kind):
+            self._recovered()
+
+    def _recovered(self) -> None:
+        """Say what became of the mission of a gate that did not end cleanly."""
+        self.view.mission_changed()
+        if self._recovery.unclean:
+            status = self.view.mission_status
+            self.notices.publish({"event": "recovery", "unclean": True, "status": status})
+
+    def _later(self, client: Client, act: Callable[[], None], *, first: bool = False) -> None:
+        self._ring.put(client, act, first=first)
+        self._turn_soon()
+
+    def _shed(self, client: Client) -> None:
+        """Count a proposal that was shed; a row of them is one refusal in the log."""
+        self.view.counted["shed"] += 1
+        if client.shed == 1:
+            self.refused(client.name, EnvironmentFault("shed unread", reason=Reason.BUSY))
+
+    def _hear(self, client: Client) -> None:
+        client.heard_ms = self.gate.ledger.mono_ms()
+        self.liveness.hear(client.role)
+
+    # what is told
+
+    def _announce(self, client: Client, *, here: bool) -> None:
+        told = {"client": client.name, "role": client.role, "here": here}
+        self.notices.publish({"event": "client", **told})
+
+    def _decided(self, client: Client, report: Report) -> None:
+        """Count and publish a decision."""
+        self.view.count_decision(report)
+        self._desk.questions.decided(report)
+        self._tell("decision", client, report)
+
+    def _ended(self, client: Client, report: Report) -> None:
+        """Count and publish an outcome."""
+        self.view.count_outcome(report)
+        self._tell("outcome", client, report)
+
+    def _tell(self, event: str, client: Client, report: Report) -> None:
+        """Tell those who watch, and stop a robot whose planner gets nowhere."""
+        if self.notices.wanted:
+            self.notices.publish({"event": event, "client": client.name, **report_json(report)})
+        if self._config.mode is Mode.ENFORCE and self.liveness.judge(client.name, report):
+            self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
+
+    # the clocks
+
+    async def run(self, ended: asyncio.Event) -> None:
+        """Keep the clocks going until it is time to end, then stop the robot and write it down."""
+        clocks = [
+            asyncio.create_task(every(LOOK_S, self._look)),
+            asyncio.create_task(every(FLUSH_S, self._flush)),
+            asyncio.create_task(every(LISTEN_S, self._listen)),
+            asyncio.create_task(every(VIGIL_S, self.vigil.look)),
+            asyncio.create_task(every(SHRED_S, self.retirement.look)),
+        ]
+        started = {"robot": self._config.robot, "mode": str(self._config.mode), "pid": os.getpid()}
+        self.notices.publish({"event": "start", **started, "unclean": self._recovery.unclean})
+        try:
+            await first(ended, clocks)
+        finally:
+            for clock in clocks:
+                clock.cancel()
+            await self._come_to_rest()
+
+    def _look(self) -> None:
+        if self._advance is not None:
+            self._advance(bool(self.motions))
+        self.motions.look()
+        if self._advance is not None and self.motions:
+            self._turn_soon()  # simulated time passes as fast as it can be watched
+
+    def _flush(self) -> None:
+        """Write down what waits: outcomes first, then refusals."""
+        if self.gate.watch.settle_owed():
+            self.view.mission_changed()
+        quietly(self.gate.ledger.flush)
+
+    def _listen(self) -> None:
+        """Once a second: recovery that is late, silence, the clock, the journal's counts."""
+        if self._recovery.late(self.view.uptime_ms):
+            self._recovered()
+        self.liveness.check(
+            active=self.view.has_mission and self._config.mode is Mode.ENFORCE,
+            controller=self._controller is None or self._controller.connected,
+            estimator=self._advance is None,
+            **self.view.ledger_state(),
+        )
+        self._desk.questions.listen()
+        self._journal.counts(self.view.counted, self.gate.ledger.mono_ms())
+
+    async def _come_to_rest(self) -> None:
+        """Stop what moves, wait for it to stand, and let everybody go."""
+        self._closing = True
+        self.gate.enforcer.before_first(_refuse_all)  # a next step, and a plan that is being read
+        self._foresight.close()
+        if self.motions:
+            self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
+        loop = asyncio.get_running_loop()
+        until = loop.time() + self._config.stand_within_ms / 1_000
+        while self.motions and loop.time() < until:
+            self._look()
+            await asyncio.sleep(LOOK_S / 5)
+        self.notices.publish({"event": "end", "robot": self._config.robot})
+        for session in tuple(self._sessions):
+            session.end()
+        self._reader.close()
+        self._braking.end()
+        self._flush()
+
+
+def _refuse_all() -> None:
+    """Decide nothing any more: the robot was stopped, and nobody would watch what is released.
+
+    Raises:
+        EnvironmentFault: always (`STOPPED`).
+    """
+    raise EnvironmentFault("the gate ends", reason=Reason.STOPPED, where="gate")

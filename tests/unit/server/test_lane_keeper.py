@@ -1,0 +1,403 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stop lane serves for as long as its gate does, and the gate hears of every stop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from authguard_r.core.encoding import Tag
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.core.token import sign_object
+from authguard_r.estop import run_folder as lane_place
+from authguard_r.estop import supervisor as lane_keeper
+from authguard_r.estop.connection import LaneLink
+from authguard_r.estop.run_folder import PID, SOCKET
+from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.supervisor import LaneKeeper
+from authguard_r.keys.signer import folder_signer
+from authguard_r.wire.messages import ClientRole, StopHeard
+from fixtures import estop_fixtures, scenarios
+from unit.gate.demo_site import PATIENCE_S
+
+
+class Listener:
+    """What a gate hears."""
+
+    def __init__(self) -> None:
+        self.stops: list[StopHeard] = []
+        self.lost: list[AuthGuardError | None] = []
+        self.connections = 0
+        self.silences = 0
+        self.answers = 0
+        self.settled = True
+
+    def stopped(self, heard: StopHeard) -> None:
+        self.stops.append(heard)
+
+    def lane_lost(self, why: AuthGuardError | None) -> None:
+        self.lost.append(why)
+
+    def lane_silent(self, *, is_silent: bool) -> None:
+        self.silences += is_silent
+        self.answers += not is_silent
+
+    def connected(self) -> None:
+        self.connections += 1
+
+
+@pytest.fixture
+def files() -> Iterator[LaneFiles]:
+    made = estop_fixtures.files()
+    yield made
+    with suppress(OSError, ValueError):
+        os.kill(lane_pid(made), signal.SIGKILL)
+
+
+def lane_pid(files: LaneFiles) -> int:
+    return int((files.run / PID).read_text())
+
+
+def keeping(keeper: LaneKeeper, work: Callable[[Listener], Awaitable[None]]) -> Listener:
+    """Keep a lane while something is done."""
+    listener = Listener()
+
+    async def whole() -> None:
+        task = asyncio.create_task(keeper.keep(listener, listener.connected))
+        try:
+            async with asyncio.timeout(2 * PATIENCE_S):
+                await work(listener)
+        finally:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+
+    asyncio.run(whole())
+    return listener
+
+
+async def until(holds: Callable[[], object]) -> None:
+    while not holds():
+        await asyncio.sleep(0.01)
+
+
+def stop(files: LaneFiles, why: str = "") -> None:
+    hand = estop_fixtures.Client(files.run)
+    hand.hello(ClientRole.OPERATOR)
+    hand.stop(why)
+
+
+def test_a_lane_that_dies_is_told_of_and_started_again(files: LaneFiles) -> None:
+    keeper = LaneKeeper(files)
+    keeper.start()
+    first = lane_pid(files)
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections == 1)
+        await asyncio.to_thread(stop, files, "one")
+        await until(lambda: listener.stops)
+        os.kill(first, signal.SIGKILL)
+        await until(lambda: lane_pid_or_none(files) not in {None, first})
+        await until(lambda: listener.connections >= 2)
+        await asyncio.to_thread(stop, files, "two")
+        await until(lambda: any(told.why == "two" for told in listener.stops))
+
+    try:
+        heard = keeping(keeper, work)
+    finally:
+        keeper.end()
+    # what it was not yet told to be recorded, the next lane says again
+    assert list(dict.fromkeys(stop.why for stop in heard.stops)) == ["one", "two"]
+    assert heard.lost[0] is None
+    assert lane_pid_or_none(files) is None  # what was started here ends with us
+
+
+def lane_pid_or_none(files: LaneFiles) -> int | None:
+    try:
+        os.kill(lane_pid(files), 0)
+    except (OSError, ValueError):
+        return None
+    return lane_pid(files)
+
+
+def test_the_lane_is_told_that_a_stop_was_heard_only_when_it_has_taken_its_effect(
+    files: LaneFiles,
+) -> None:
+    keeper = LaneKeeper(files)
+    keeper.start()
+
+    async def owed(listener: Listener) -> None:
+        listener.settled = False
+        await until(lambda: listener.connections)
+        await asyncio.to_thread(stop, files, "one")
+        await until(lambda: listener.stops)
+        await asyncio.sleep(3 * lane_keeper.HEARD_S)  # several times it could have been said
+
+    async def nothing(listener: Listener) -> None:
+        await until(lambda: listener.connections)
+        await asyncio.to_thread(stop, files, "two")
+        await until(lambda: listener.stops)
+
+    try:
+        keeping(keeper, owed)
+        assert [stop.why for stop in keeping(keeper, owed_again).stops] == ["one"]
+        assert [stop.why for stop in keeping(keeper, nothing).stops] == ["two"]
+    finally:
+        keeper.end()
+
+
+async def owed_again(listener: Listener) -> None:
+    """Let a gate that comes after hear of it, and settle it later."""
+    listener.settled = False
+    await until(lambda: listener.stops)
+    await asyncio.sleep(2 * lane_keeper.HEARD_S)
+    listener.settled = True
+    await asyncio.sleep(2 * lane_keeper.HEARD_S)  # at the latest when it lets go, it is said
+
+
+def test_a_lane_that_serves_answers_that_everything_was_told_and_none_is_nobody_to_ask(
+    files: LaneFiles,
+) -> None:
+    keeper = LaneKeeper(files)
+    answered: list[bool] = []
+    assert keeper.sync(lambda: answered.append(True)) is False
+    keeper.start()
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections)
+        assert keeper.sync(lambda: answered.append(True)) is True
+        await until(lambda: answered)
+
+    try:
+        keeping(keeper, work)
+        assert keeper.sync(lambda: answered.append(True)) is False  # it was let go of
+    finally:
+        keeper.end()
+    assert answered == [True]
+
+
+def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
+    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that is held stays connected: nobody could stop by it, and nobody would know."""
+    monkeypatch.setattr(lane_keeper, "REPLACED", 1_000_000)
+    keeper = LaneKeeper(files)
+    assert not keeper.alive
+    keeper.start()
+    seen: list[bool] = []
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections and keeper.alive)
+        os.kill(lane_pid(files), signal.SIGSTOP)
+        await until(lambda: listener.silences)
+        seen.append(keeper.alive)
+        await asyncio.sleep(10 * lane_keeper.ASK_S)  # several times it could have been said again
+        os.kill(lane_pid(files), signal.SIGCONT)
+        await until(lambda: keeper.alive and listener.answers == 2)  # at first, and again
+        seen.append(listener.silences == 1)
+        os.kill(lane_pid(files), signal.SIGKILL)
+        await until(lambda: listener.lost)
+        seen.append(listener.silences == 1)  # one that is gone is another matter
+
+    try:
+        heard = keeping(keeper, work)
+    finally:
+        keeper.end()
+    assert seen == [False, True, True]
+    assert heard.lost[0] is None
+
+
+def test_what_a_lane_is_asked_before_its_welcome_waits_for_it_and_ends_nothing(
+    files: LaneFiles,
+) -> None:
+    keeper = LaneKeeper(files)
+    keeper.start()
+    answered: list[int] = []
+    lost: list[AuthGuardError | None] = []
+
+    async def ask() -> None:
+        link = LaneLink(files.run / SOCKET, lambda _: None, lost.append)
+        await link.connect()
+        for number in range(3):
+            link.sync(partial(answered.append, number))
+        assert link.welcome is None
+        async with asyncio.timeout(PATIENCE_S):
+            await until(lambda: len(answered) == 3 or lost)
+            assert lost == []
+            link.close()
+            await until(lambda: lost)
+
+    try:
+        asyncio.run(ask())
+    finally:
+        keeper.end()
+    assert answered == [0, 1, 2]
+
+
+def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: LaneFiles) -> None:
+    keeper = LaneKeeper(files)
+    keeper.start()
+    first = lane_pid(files)
+    late: list[float] = []
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections and keeper.alive)
+        held = time.monotonic()
+        os.kill(first, signal.SIGSTOP)
+        await until(lambda: not keeper.alive)
+        late.append(time.monotonic() - held)
+        await until(lambda: listener.connections >= 2 and keeper.alive)
+
+    try:
+        heard = keeping(keeper, work)
+        assert lane_pid(files) != first
+        assert late[0] < 1.0  # `WITHIN_S`, and what this process is late
+    finally:
+        keeper.end()
+    assert heard.silences == 1
+    assert heard.lost == [None]
+
+
+def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: LaneFiles) -> None:
+    """It is silent for the gate's own fault, and what it keeps is the stop that is owed."""
+    keeper = LaneKeeper(files)
+    keeper.start()
+    first = lane_pid(files)
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: listener.connections and keeper.alive)
+        listener.settled = False
+        os.kill(first, signal.SIGSTOP)
+        await asyncio.sleep(2 * lane_keeper.REPLACED * lane_keeper.ASK_S)
+        listener.settled = True
+        os.kill(first, signal.SIGCONT)
+        await until(lambda: keeper.alive)
+
+    try:
+        keeping(keeper, work)
+        assert lane_pid(files) == first
+    finally:
+        keeper.end()
+
+
+def test_a_lane_of_a_gate_that_was_killed_is_adopted_and_ends_with_the_next(
+    files: LaneFiles,
+) -> None:
+    killed, heir = LaneKeeper(files), LaneKeeper(files)
+    killed.start()
+    for _ in range(3):
+        stop(files)
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: len(listener.stops) == 3)
+
+    heir.start()
+    numbers = [stop.n for stop in keeping(heir, work).stops]
+    assert sorted(set(numbers)) == numbers  # all of them were before the gate was there
+    heir.end()
+    assert lane_pid_or_none(files) is None
+    killed.end()
+
+
+@pytest.mark.parametrize("number", [signal.SIGCONT, signal.SIGSTOP])
+def test_a_lane_that_hangs_at_the_end_is_left_behind_no_more_than_one_that_serves(
+    files: LaneFiles, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lane_place, "_END_S", 0.5)
+    keeper = LaneKeeper(files)
+    keeper.start()
+    pid = lane_pid(files)
+    os.kill(pid, number)
+    keeper.end()
+    assert not Path(f"/proc/{pid}").exists()
+
+
+def test_a_lane_that_was_started_by_hand_serves_on(files: LaneFiles) -> None:
+    with estop_fixtures.process(files):
+        keeper = LaneKeeper(files)
+        keeper.start()
+        keeper.end()
+        stop(files)
+
+
+def test_a_lane_that_cannot_be_started_is_tried_again_and_the_gate_told(
+    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lane_keeper, "RETRY_S", 0.01)
+    broken = msgspec.structs.replace(files, key=Path("/nowhere"))
+    keeper = LaneKeeper(broken)
+    with pytest.raises(EnvironmentFault):
+        keeper.start()
+
+    async def work(listener: Listener) -> None:
+        await until(lambda: len(listener.lost) >= 2)
+        keeper._files = files  # somebody mended it
+        await until(lambda: listener.connections)
+
+    try:
+        listener = keeping(keeper, work)
+    finally:
+        keeper.end()
+    assert all(isinstance(why, EnvironmentFault) for why in listener.lost)
+
+
+def test_a_lane_of_another_configuration_is_retired_and_one_of_this_started(
+    files: LaneFiles,
+) -> None:
+    old, new = LaneKeeper(files), LaneKeeper(files)
+    old.start()
+    first = lane_pid(files)
+    signer = folder_signer(scenarios.trust_folder(), "site-authority-1")
+    files.config.write_bytes(sign_object(estop_fixtures.config(connections=3), Tag.GATE, signer))
+    try:
+        new.start()
+        assert lane_pid(files) != first
+        new.start()  # its own stays
+        assert len(new._started) == 1
+    finally:
+        new.end()
+        old.end()
+
+
+@pytest.mark.parametrize("config", ["another", "gone"])
+def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
+    files: LaneFiles, config: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lane_place, "_END_S", 0.5)
+    keeper = LaneKeeper(files)
+    keeper.start()
+    place = files.run / lane_keeper.CONFIG
+    if config == "gone":
+        place.unlink()
+    else:
+        place.write_text("another")
+    pid = lane_pid(files)
+    os.kill(pid, signal.SIGSTOP)
+    keeper.start()
+    assert lane_pid(files) != pid
+    keeper.end()
+
+
+def test_a_stale_lane_that_does_not_end_is_a_fault(
+    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whose number nobody knows, nobody can end."""
+    monkeypatch.setattr(lane_place, "_END_S", 0.1)
+    keeper = LaneKeeper(files)
+    keeper.start()
+    (files.run / lane_keeper.CONFIG).write_text("another")
+    pid = lane_pid(files)
+    (files.run / PID).write_text("nobody")
+    with pytest.raises(EnvironmentFault, match="does not end"):
+        LaneKeeper(files).start()
+    (files.run / PID).write_text(str(pid))
+    keeper.end()
