@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
+from unit.gate.demo_site import GO, SCAN, House, Refused, reasons
 
 from authguard_r.approvals import answer
 from authguard_r.authoring.keys.revoking import revoke
@@ -36,7 +37,6 @@ from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios
 from fixtures.revocation_lists import next_lists
 from missionpair.bench import make_bench
-from unit.gate.demo_site import GO, SCAN, House, Refused, reasons
 
 DAY_MS = 86_400_000
 BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 from msgspec.structs import replace
+from unit.gate.robots import config
 
 from authguard_r.access.gate_config import (
     GateConfig,
@@ -29,7 +30,6 @@ from authguard_r.server.log_maintenance import notary_policy
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.small_witness import SmallWitness
-from unit.gate.robots import config
 
 ONE, TWO = (Peer(uid=n, roles=(ClientRole.PLANNER,)) for n in (1, 2))
 

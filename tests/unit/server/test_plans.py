@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
 from authguard_r.core.encoding import b64
 from authguard_r.core.identifiers import Identifier
@@ -24,7 +25,6 @@ from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.frames import raw_frame
 from authguard_r.wire.messages import Act, ClientRole, Evaluate, Kind, Mode, Observe, Order, Propose
 from fixtures import scenarios
-from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
 COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 LONG = b"\n" * 20_000

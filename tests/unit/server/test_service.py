@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
 
 from authguard_r.client.controller import Channel
 from authguard_r.core.encoding import Tag
@@ -35,7 +36,6 @@ from authguard_r.wire.messages import (
     Propose,
 )
 from fixtures import scenarios
-from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
 from unit.sim.desks import NONCE
 
 

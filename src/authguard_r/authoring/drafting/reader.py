@@ -7,20 +7,13 @@ becomes a question, because a condition could hide in it.
 
 from __future__ import annotations
 
-from authguard_r.authoring.drafting import frames
+from authguard_r.authoring.drafting import frames, terms
 from authguard_r.authoring.drafting.amounts import is_filler, take_amount, take_count, take_details
 from authguard_r.authoring.drafting.clauses import Clause, Condition, Phrase, Sentence, Way
 from authguard_r.authoring.drafting.cursor import Cursor
 from authguard_r.authoring.drafting.doors import read_door
 from authguard_r.authoring.drafting.frames import Frame
 from authguard_r.authoring.drafting.lexicon import Lexicon, Ref, Sort
-from authguard_r.authoring.drafting.terms import (
-    take_condition,
-    take_end,
-    take_right,
-    take_rights,
-    take_start,
-)
 from authguard_r.authoring.drafting.tokens import Token
 from authguard_r.authoring.drafting.unparsed_words import Strays, settle_clauses
 from authguard_r.authoring.drafting.verbs import VerbPhrase, ends, leads, read_gerund, read_verb
@@ -125,14 +118,14 @@ class _Reader:
         return size > 0
 
     def _window(self) -> bool:
-        return take_end(self._here, self.said) or take_start(self._here, self.said)
+        return terms.take_end(self._here, self.said) or terms.take_start(self._here, self.said)
 
     def _condition(self) -> bool:
         """A condition belongs to the clause that it stands in, else to the one that follows."""
         clause = None if self._fresh else self._clause
         if self._waiting is not None or (clause is not None and clause.condition is not None):
             return False
-        found = take_condition(self._here, self.said)
+        found = terms.take_condition(self._here, self.said)
         if found is not None and clause is not None:
             clause.condition = found
         elif found is not None:
@@ -143,7 +136,7 @@ class _Reader:
         here, clause = self._here, self._clause
         if clause is None:
             return False
-        return (self._fresh and take_right(here, clause)) or take_rights(here, clause)
+        return (self._fresh and terms.take_right(here, clause)) or terms.take_rights(here, clause)
 
     def _after(self) -> bool:
         """`after turning it on`: what comes first, said last; `before closing it`: as `then`."""

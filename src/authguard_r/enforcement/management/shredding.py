@@ -15,13 +15,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing.stored_policy import (
-    due_missions,
-    expiry_ms,
-    hold_due,
-    newest_keys,
-    retention_of,
-)
+from authguard_r.anchoring.sealing import stored_policy
 from authguard_r.approvals.preapprovals import KIND as PREAPPROVALS
 from authguard_r.audit.record import (
     BOX,
@@ -139,7 +133,7 @@ def retire(act: Act, *, parts: Parts) -> Retired:
     expired and that nobody ended lapses before; one of which nobody knows how an action ended
     waits until somebody says it.
     """
-    rules, due = parts.sealing.most_ms, due_missions(act)
+    rules, due = parts.sealing.most_ms, stored_policy.due_missions(act)
     looked = {mid: _ripe(act, mid, parts) for mid in due[:_MOST_DUE]}
     ripe = {mid: classes for mid, classes in looked.items() if classes is not None}
     begin = [mid for mid, classes in ripe.items() if _told(act, mid, classes)][:_MOST_BEGUN]
@@ -150,11 +144,11 @@ def retire(act: Act, *, parts: Parts) -> Retired:
         if _end(act, mid, parts):
             begun += _retired(act, mid, _told(act, mid, ripe[mid]), 0)
     over = {mid for mid, classes in ripe.items() if _is_over(act, mid, classes, parts)}
-    waits = tuple(mid for mid in due_missions(act) if mid not in over)
+    waits = tuple(mid for mid in stored_policy.due_missions(act) if mid not in over)
     if len(due) > _MOST_DUE:
         waits = (*waits[_MOST_DUE:], *waits[:_MOST_DUE])
     if waits != due:
-        hold_due(act, waits)
+        stored_policy.hold_due(act, waits)
     for most_ms in sorted(set(rules.values())):
         classes = tuple(data for data, ms in rules.items() if ms == most_ms)
         begun += _retired(act, NONE, classes, act.now.utc_ms - most_ms)
@@ -252,7 +246,7 @@ def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
     Raises:
         StoreError: neither the store nor a token that is still there says so.
     """
-    known = expiry_ms(act, mid)
+    known = stored_policy.expiry_ms(act, mid)
     standing = act.standing(mid)
     if known is not None or standing is None:
         return known or 0
@@ -262,7 +256,7 @@ def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
 def _ripe(act: Act, mid: MissionId, parts: Parts) -> tuple[DataClass, ...] | None:
     """Return the classes of a mission that have no more time; None: the store cannot say it."""
     try:
-        times = retention_of(act, mid, parts.sealing)
+        times = stored_policy.retention_of(act, mid, parts.sealing)
         over_ms = _over_ms(act, mid, parts) if times else 0
         ripe = tuple(data for data, ms in times.items() if over_ms + ms <= act.now.utc_ms)
         _told(act, mid, ripe)
@@ -273,7 +267,7 @@ def _ripe(act: Act, mid: MissionId, parts: Parts) -> tuple[DataClass, ...] | Non
 
 def _is_over(act: Act, mid: MissionId, ripe: tuple[DataClass, ...], parts: Parts) -> bool:
     """Return whether no class of a mission has an end to come; without any time, one may come."""
-    every = len(ripe) == len(retention_of(act, mid, parts.sealing))
+    every = len(ripe) == len(stored_policy.retention_of(act, mid, parts.sealing))
     return bool(ripe) and every and not _told(act, mid, ripe)
 
 
@@ -338,7 +332,7 @@ def _keys(
     """
     found: list[_Keys] = []
     names = {WRAP + data for data in classes}
-    seq, until_ms, end = newest_keys(act, mid), act.now.utc_ms, act.head()[0]
+    seq, until_ms, end = stored_policy.newest_keys(act, mid), act.now.utc_ms, act.head()[0]
     while seq is not None and seq >= 0 and len(found) < most:
         record, sealed = _read(act, seq)
         before = record.open.get("before")
@@ -362,7 +356,7 @@ def _begin(
     """Destroy the wrapped keys, and note what is left to do; the record is of no mission."""
     for key in keys:
         act.forget(key.seq, key.names)
-    if newest_keys(act, mid) in {key.seq for key in keys}:
+    if stored_policy.newest_keys(act, mid) in {key.seq for key in keys}:
         act.forget_keys(mid)
     standing = None if mid == NONE else act.standing(MissionId(mid))
     if standing is not None:  # over: it uses, asks and chooses nothing more, and the log has it
