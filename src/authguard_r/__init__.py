@@ -49,13 +49,13 @@ __all__ = [
 _HOMES = {
     "Action": "core.action",
     "Decision": "core.decision",
-    "Gate": "assembly",
+    "Gate": "server.wiring",
     "Mission": "core.mission",
     "VerifiedMission": "core.token",
-    "assemble": "assembly",
-    "evaluate": "enforcement",
+    "assemble": "server.wiring",
+    "evaluate": "enforcement.enforcer",
     "sign_object": "core.token",
-    "simulate": "assembly",
+    "simulate": "operations.simulation",
     "verify_mission": "core.token",
 }
 

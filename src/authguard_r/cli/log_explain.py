@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`authguard audit explain`: one record of a log in words, from the log alone.
 
-The words are the gate's own (`gate.explain`). The mission that a change is made from is in the
+The words are the gate's own (`server.explanation`). The mission that a change is made from is in the
 log, too: in the record of its activation. Spec page: docs/reference/cli.md
 """
 

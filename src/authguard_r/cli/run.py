@@ -233,7 +233,7 @@ def stop_command(
 
 
 def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
-    """Hold what is in force against what the store has seen (`gate.configured`)."""
+    """Hold what is in force against what the store has seen (`server.configurations`)."""
     parts = {
         Part.BINDING: Configuration(digest=binding_digest(binding)),
         Part.SAFETY: Configuration(digest=safety_digest(config), version=config.version),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the signed site model tells the decision, in the shape that the decision reads.
 
-Built by `site` from the signed model and by `assembly` from the gate's certificate; nothing here
+Built by `site` from the signed model and by `server.wiring` from the gate's certificate; nothing here
 comes from a request. Spec page: docs/spec/site-model.md
 """
 

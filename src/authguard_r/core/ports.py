@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The borders of the core: what siblings offer each other through it.
 
-Protocols only; wiring is in `assembly` alone. Spec page: docs/explanation/architecture.md
+Protocols only; `server.wiring` alone joins the parts. Spec page: docs/explanation/architecture.md
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ def decision_entry(
     Args:
         judged: the decision.
         influences: inputs that mentioned what the action carries.
-        counted: who stands behind it (`questions.counted`), when people were asked.
+        counted: who stands behind it (`counted`), when people were asked.
         repairs: the refused report whose repair this is; named by its number (-1 while it has
             none) and the digest of its action.
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the stop lane does with every byte and every moment, without a socket.
 
-The process around it (`lane`) moves bytes and asks the clock. A stop goes to the controllers
+The process around it (`server`) moves bytes and asks the clock. A stop goes to the controllers
 before anything else happens; records, proofs and files come when nobody waits.
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """

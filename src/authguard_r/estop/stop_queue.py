@@ -2,7 +2,7 @@
 """Stops that no gate has recorded yet, in memory.
 
 An operator's stop suspends the mission, so that nobody else's may delay or displace its record:
-it has a queue of its own, which is sent first. Files: `lane_spool`.
+it has a queue of its own, which is sent first. Files: `spool`.
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """
 

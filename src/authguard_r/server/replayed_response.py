@@ -24,7 +24,7 @@ from authguard_r.enforcement.report import NOT_EVALUATED
 def retold(
     decision: Record, sealed: dict[str, Sealed], outcome: Record | None, beside: dict[str, Sealed]
 ) -> dict[str, Any]:
-    """Return the report of one step, as `shapes.report_json` made it.
+    """Return the report of one step, as `json_views.report_json` made it.
 
     Args:
         decision: the record of the decision.
