@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`authguard audit explain`: one record of a log in words, from the log alone.
 
-The words are the gate's own (`server.explanation`). The mission that a change is made from is in the
-log, too: in the record of its activation. Spec page: docs/reference/cli.md
+The words are the gate's own (`server.explanation`). The mission that a change starts from is in the
+log too: in the record of its activation. Spec page: docs/reference/cli.md
 """
 
 from __future__ import annotations
