@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the signed site model tells the decision, in the shape that the decision reads.
 
-`site` makes it from the signed model, `server.wiring` adds the gate's certificate; nothing here comes
-from a request. Spec page: docs/spec/site-model.md
+`site` makes it from the signed model, `server.wiring` adds the gate's certificate; nothing here
+comes from a request. Spec page: docs/spec/site-model.md
 """
 
 from __future__ import annotations
