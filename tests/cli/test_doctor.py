@@ -12,7 +12,6 @@ from typing import Any
 import msgspec
 import pytest
 from msgspec.structs import replace
-from unit.gate.robots import ME, config, peers, robot
 
 from authguard_r.approvals.organization import OrganizationPolicy, open_policy
 from authguard_r.authoring.keys.revoking import revoke
@@ -29,6 +28,7 @@ from authguard_r.operations.offline import offline_gate
 from authguard_r.site.model import profile_digest
 from authguard_r.site.source import read_text
 from fixtures import emergency_policies, scenarios
+from unit.server.robots import ME, config, peers, robot
 
 LEVELS = {"ok", "warning", "unsafe"}
 DAY_MS = 86_400_000

@@ -14,7 +14,6 @@ from typing import Any
 
 import apsw
 import pytest
-from unit.test_strangers import ENDLESS, MOST_KIB, SOON_S
 
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.rotation import Rotation, RotationPolicy
@@ -28,6 +27,7 @@ from conformance.test_vectors_log import NODE, VERIFIER, needs_node
 from fixtures import scenarios
 from fixtures.segmented_stores import fill
 from fixtures.small_witness import log_keys
+from unit.test_untrusted_stores import ENDLESS, MOST_KIB, SOON_S
 
 GO = scenarios.navigate("dock", "pharmacy")
 SCAN = "scan_obstacles"

@@ -31,9 +31,9 @@ with atheris.instrument_imports(include=["authguard_r.wire", "authguard_r.server
 
 sys.path.insert(0, str(ROOT / "tests"))
 import msgspec  # noqa: E402 - after the instrumented imports
-from unit.gate.demo_site import House  # noqa: E402
 
 from fixtures import frame_streams  # noqa: E402
+from unit.server.demo_site import House  # noqa: E402
 
 KINDS = tuple(Kind)
 BODIES = tuple(BODY.values())

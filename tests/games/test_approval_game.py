@@ -21,7 +21,6 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
-from authguard_r.enforcement.enforcer.management import answers
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -40,6 +39,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.enforcement.enforcer import enforcer
 from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.management import answers
 from authguard_r.enforcement.report import Report
 from authguard_r.keys import trust as keys
 from authguard_r.keys.algorithms import PrivateKey

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from unit.gate.deployed import (
+from unit.server.deployed import (
     BODY,
     CLIENTS,
     ESTIMATOR,

@@ -5,16 +5,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from unit.gate.demo_site import GO
-from unit.gate.test_fences import deaf
-from unit.gate.test_rescues import Ward, planner, worlds_mission
-
 from authguard_r.core.errors import ControllerError
 from authguard_r.enforcement.emergency.policy import Caller
 from authguard_r.server.emergency_wiring import STRANGE
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record
+from unit.server.demo_site import GO
+from unit.server.test_fences import deaf
+from unit.server.test_rescues import Ward, planner, worlds_mission
 
 TWICE = {**emergency_policies.GO_SAFE, "per_hour": 2}
 

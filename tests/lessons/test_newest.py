@@ -13,9 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.gate.demo_site import GO, House, Refused
-from unit.gate.test_desk import order
-from unit.test_strangers import HOSTILE, store
 
 from authguard_r.audit.record import read_record
 from authguard_r.audit.verify import verify_rows
@@ -27,7 +24,10 @@ from authguard_r.normalize.expected import TEXT, Match
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import Act, ClientRole
 from fixtures import scenarios
+from unit.server.demo_site import GO, House, Refused
+from unit.server.test_desk import order
 from unit.test_refusals import Full, entry_of, full
+from unit.test_untrusted_stores import HOSTILE, store
 from unit.tools.test_body import GO as DRIVE
 from unit.tools.test_body import TICKET, Robot, body_of, until
 

@@ -9,7 +9,6 @@ import signal
 from pathlib import Path
 
 import pytest
-from unit.gate.test_lock import fill, names_of
 
 from authguard_r.audit.record import read_record
 from authguard_r.core.encoding import b64
@@ -25,6 +24,7 @@ from authguard_r.server.robot_lock import hold_robot
 from fixtures import estop_fixtures, scenarios, templates
 from fixtures.templates import instance, token
 from integration.stop_faults import leaves_a_stop
+from unit.server.test_lock import fill, names_of
 from unit.sim.desks import Bench, drive
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
-from unit.gate.demo_site import GO, SCAN, House, Refused, reasons
 
 from authguard_r.approvals import answer
 from authguard_r.authoring.keys.revoking import revoke
@@ -37,6 +36,7 @@ from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios
 from fixtures.revocation_lists import next_lists
 from missionpair.bench import make_bench
+from unit.server.demo_site import GO, SCAN, House, Refused, reasons
 
 DAY_MS = 86_400_000
 BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)

@@ -15,8 +15,6 @@ from typing import Any, Self
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, SCAN, HandClock, House, Refused
-from unit.gate.test_rescues import Disk, _Kept
 
 from authguard_r.approvals import Selection
 from authguard_r.authoring.keys.revoking import revoke
@@ -32,6 +30,8 @@ from authguard_r.keys.signer import folder_signer
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order
 from fixtures import scenarios, templates
+from unit.server.demo_site import GO, SCAN, HandClock, House, Refused
+from unit.server.test_rescues import Disk, _Kept
 
 BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 MINUTE_MS = 60_000

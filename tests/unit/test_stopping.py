@@ -14,7 +14,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.core.standing import Standing
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
-from unit.gate.demo_site import House
+from unit.server.demo_site import House
 
 
 def ready(**more: Any) -> Any:

@@ -8,14 +8,14 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import SCAN
-from unit.gate.test_process import activate, client, parts, robot, served
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.safety import Checker, Rule, SafetyConfig, default_config
 from authguard_r.server.process import ASKED_MS, Rendezvous
 from authguard_r.wire.messages import ClientRole
 from fixtures import estop_fixtures, scenarios
+from unit.server.demo_site import SCAN
+from unit.server.test_process import activate, client, parts, robot, served
 
 
 def config(**changes: Any) -> SafetyConfig:

@@ -13,8 +13,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import Guest, House
-from unit.gate.test_process import activate, client, parts, robot, served
 
 from authguard_r.audit.record import Record, read_record
 from authguard_r.cli import call
@@ -37,6 +35,8 @@ from fixtures import estop_fixtures, scenarios
 from missionpair.bench import Bench, Scene, approve, make_bench
 from missionpair.bench import propose as begin
 from missionpair.suite import restricted
+from unit.server.demo_site import Guest, House
+from unit.server.test_process import activate, client, parts, robot, served
 
 THROUGH = ("public-corridor", "plant-room", "public-corridor")
 AROUND = ("public-corridor", "public-corridor")

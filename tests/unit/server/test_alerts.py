@@ -13,8 +13,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from unit.gate.demo_site import FORBIDDEN, GO, SCAN, Guest, House
-from unit.gate.test_rescues import Ward, worlds_mission
 
 from authguard_r.anchoring import anchor, rotation
 from authguard_r.core.mission import Mission
@@ -25,6 +23,8 @@ from authguard_r.server.remote_controller import EXPLAIN_WITHIN_MS
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Act, ClientRole, Kind, Mode, Order
 from fixtures import scenarios
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House
+from unit.server.test_rescues import Ward, worlds_mission
 
 ROOT = Path(__file__).resolve().parents[3]
 

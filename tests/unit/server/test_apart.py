@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from unit.gate.robots import NOW, mine, robot
 
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.operations.checkup import Setup, checkup, require_safe
 from authguard_r.operations.checkup.advice import Advice, Code, Level
+from unit.server.robots import NOW, mine, robot
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ import apsw
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
-from unit.gate.robots import ME, NOW, config, mine, robot, write_key
 
 from authguard_r.access.gate_config import Peer
 from authguard_r.authoring.binding.samples import probe_site
@@ -34,6 +33,7 @@ from authguard_r.store.sqlite import open_store
 from authguard_r.store.transactions import Ledger
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
+from unit.server.robots import ME, NOW, config, mine, robot, write_key
 
 DAY_MS = 86_400_000
 BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)

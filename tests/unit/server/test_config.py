@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 from msgspec.structs import replace
-from unit.gate.robots import config
 
 from authguard_r.access.gate_config import (
     GateConfig,
@@ -30,6 +29,7 @@ from authguard_r.server.log_maintenance import notary_policy
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.small_witness import SmallWitness
+from unit.server.robots import config
 
 ONE, TWO = (Peer(uid=n, roles=(ClientRole.PLANNER,)) for n in (1, 2))
 

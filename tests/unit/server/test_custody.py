@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from unit.gate.robots import ME, mine, robot, write_key
 
 from authguard_r.operations.checkup.advice import Code, Level
 from authguard_r.operations.checkup.custody import (
@@ -19,6 +18,7 @@ from authguard_r.operations.checkup.custody import (
     stray_advice,
 )
 from fixtures import scenarios
+from unit.server.robots import ME, mine, robot, write_key
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 

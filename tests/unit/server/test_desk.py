@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import FORBIDDEN, GO, SCAN, Guest, House, Refused, reasons
 
 from authguard_r.approvals import Selection
 from authguard_r.core.approval import Approval, Verdict
@@ -33,6 +32,7 @@ from authguard_r.wire.messages import (
     Stood,
 )
 from fixtures import scenarios, templates
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House, Refused, reasons
 
 TICKET = "A" * 43
 

@@ -8,8 +8,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
-from unit.gate.test_rescues import Ward
 
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.cli.app import program
@@ -21,6 +19,8 @@ from authguard_r.server.explanation import explanation
 from authguard_r.server.remediation import _ANSWERS, EMERGENCY_MENDS, MENDS, mends_of
 from authguard_r.wire.messages import Act, ClientRole, Explain, Kind, Observe, Order
 from fixtures import scenarios
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
+from unit.server.test_rescues import Ward
 
 #: Too fast: one bound, which a signature can raise.
 FAST = b'navigate_to(destination="Pharmacy", speed=1.2)'

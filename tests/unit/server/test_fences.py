@@ -10,15 +10,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from unit.gate.demo_site import GO, SCAN, Guest, House
-from unit.gate.test_desk import order
-from unit.gate.test_motions import walking
-from unit.gate.test_rescues import Ward, worlds_mission
 
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Act, ClientRole
+from unit.server.demo_site import GO, SCAN, Guest, House
+from unit.server.test_desk import order
+from unit.server.test_motions import walking
+from unit.server.test_rescues import Ward, worlds_mission
 
 
 @contextmanager

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from unit.gate.demo_site import PATIENCE_S
 
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
@@ -28,6 +27,7 @@ from authguard_r.estop.supervisor import LaneKeeper
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole, StopHeard
 from fixtures import estop_fixtures, scenarios
+from unit.server.demo_site import PATIENCE_S
 
 
 class Listener:

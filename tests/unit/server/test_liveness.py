@@ -7,8 +7,6 @@ from typing import Any
 
 import pytest
 from msgspec.structs import replace
-from unit.gate.demo_site import HandClock
-from unit.gate.robots import config
 
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Verdict
@@ -20,6 +18,8 @@ from authguard_r.server.liveness import _COUNTED, _SHOWN, Liveness, MissionPhase
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
+from unit.server.demo_site import HandClock
+from unit.server.robots import config
 
 REFUSED = Report(judged=None, refusal=Refusal(Reason.MALFORMED, "x", "y"))
 QUIET = {"planner_silence_ms": 1_000, "estimator_silence_ms": 500}

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import pytest
-from unit.gate.demo_site import GO, SCAN, Guest, House, reasons, ticket_of
 
 from authguard_r.client.controller import Channel
 from authguard_r.core.identifiers import Digest
@@ -14,6 +13,7 @@ from authguard_r.server.lease_registry import Motions
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Act, ClientRole, Dispatch, Ended, Kind, Mode, Order
 from fixtures import scenarios
+from unit.server.demo_site import GO, SCAN, Guest, House, reasons, ticket_of
 from unit.sim.desks import framed
 
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import FORBIDDEN, SCAN, House
 
 from authguard_r.server.event_log import COUNTS_MS, Journal
 from authguard_r.wire.json_log import MOST_LINES
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.estop_fixtures import until
+from unit.server.demo_site import FORBIDDEN, SCAN, House
 
 
 def test_an_alert_is_a_record_an_event_and_a_line() -> None:

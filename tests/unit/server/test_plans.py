@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
 from authguard_r.core.encoding import b64
 from authguard_r.core.identifiers import Identifier
@@ -25,6 +24,7 @@ from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.frames import raw_frame
 from authguard_r.wire.messages import Act, ClientRole, Evaluate, Kind, Mode, Observe, Order, Propose
 from fixtures import scenarios
+from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
 COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 LONG = b"\n" * 20_000

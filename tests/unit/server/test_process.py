@@ -14,7 +14,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, PATIENCE_S, SCAN
 
 from authguard_r.audit.record import read_record
 from authguard_r.authoring.compile.build import compile_draft
@@ -37,6 +36,7 @@ from authguard_r.store.clocks import SIMULATED
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import estop_fixtures, scenarios
+from unit.server.demo_site import GO, PATIENCE_S, SCAN
 
 
 @pytest.fixture

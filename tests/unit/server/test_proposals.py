@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, SCAN, House
 
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.core.encoding import Tag, b64, digest, encode_fast
@@ -20,6 +19,7 @@ from authguard_r.store.transactions import Act
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
+from unit.server.demo_site import GO, SCAN, House
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))
 CLIENT, OTHER = Identifier("u1.planner"), Identifier("u2.planner")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from unit.gate.robots import config
 
 from authguard_r.anchoring.counter import FileCounter
 from authguard_r.anchoring.places import WitnessPlace
@@ -26,6 +25,7 @@ from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import Act
 from fixtures import scenarios
 from fixtures.small_witness import SmallWitness, begin, policy
+from unit.server.robots import config
 
 
 def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:

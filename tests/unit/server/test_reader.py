@@ -17,7 +17,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import PATIENCE_S, SCAN
 
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
@@ -31,6 +30,7 @@ from authguard_r.server.plan_reader import (
     read_plan,
 )
 from fixtures import scenarios
+from unit.server.demo_site import PATIENCE_S, SCAN
 
 REPLIES = sorted((scenarios.HOSPITAL / "replies").glob("*.json"))
 LONG = b"\n" * 60_000

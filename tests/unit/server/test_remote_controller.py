@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, SCAN, HandClock, House, reasons
 
 from authguard_r.client.controller import Channel
 from authguard_r.client.proof import prove
@@ -30,6 +29,7 @@ from authguard_r.server.remote_controller import (
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import PROTOCOL, Begun, ClientRole, Ended, Halt, Hello, Kind, Stood
 from fixtures import scenarios
+from unit.server.demo_site import GO, SCAN, HandClock, House, reasons
 from unit.sim.desks import LIFE, NONCE, framed, greeting, welcome
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.gate.demo_site import HandClock
-from unit.gate.test_rescues import Disk, Ward, _Kept, planner
 
 from authguard_r.enforcement.emergency.policy import Caller
 from authguard_r.keys.signer import gate_name
@@ -20,6 +18,8 @@ from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record
+from unit.server.demo_site import HandClock
+from unit.server.test_rescues import Disk, Ward, _Kept, planner
 
 OFTEN = {**emergency_policies.GO_SAFE, "per_hour": 60}
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, SCAN, STEP_MS, Guest
-from unit.gate.test_fences import deaf
-from unit.gate.test_rescues import Disk, Ward, always, planner, worlds_mission
 
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.enforcement.emergency.policy import Caller
 from authguard_r.enforcement.emergency_enforcer import Rescued
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies
+from unit.server.demo_site import GO, SCAN, STEP_MS, Guest
+from unit.server.test_fences import deaf
+from unit.server.test_rescues import Disk, Ward, always, planner, worlds_mission
 
 NEAR = emergency_policies.guard("human_distance_mm", "le", 1_500)
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 from msgspec.structs import replace
-from unit.gate.demo_site import HandClock
-from unit.gate.test_rescues import Disk, Ward, _Kept, always, planner
 
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError
@@ -24,6 +22,8 @@ from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies
 from fixtures.emergency_files import record
+from unit.server.demo_site import HandClock
+from unit.server.test_rescues import Disk, Ward, _Kept, always, planner
 
 HOUR_MS = 3_600_000
 NEAR = emergency_policies.guard("human_distance_mm", "le", 1_500)

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, STEP_MS, Guest, HandClock, House, Refused
 
 from authguard_r.audit.record import Record, read_record
 from authguard_r.authoring.keys.revoking import revoke
@@ -32,6 +31,7 @@ from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import Act, ClientRole, Emergency, Kind, Order
 from fixtures import emergency_policies, scenarios
+from unit.server.demo_site import GO, STEP_MS, Guest, HandClock, House, Refused
 
 HOUR_MS = 3_600_000
 

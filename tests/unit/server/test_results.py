@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from unit.gate.demo_site import GO, Guest, House, ticket_of
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
@@ -16,6 +15,7 @@ from authguard_r.normalize.binding import Binding, require_sound
 from authguard_r.server.plans import _MOST_CONTEXTS
 from authguard_r.wire.messages import ClientRole, Kind, Result
 from fixtures import scenarios
+from unit.server.demo_site import GO, Guest, House, ticket_of
 
 SIGN = "A sign reads: bring it to Station 103."
 STATION = scenarios.navigate("dock", "station-103")

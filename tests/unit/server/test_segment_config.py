@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import pytest
-from unit.gate.robots import config
-from unit.gate.test_config import ONES, opened
 
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.server.log_maintenance import rotation_policy
+from unit.server.robots import config
+from unit.server.test_config import ONES, opened
 
 
 @pytest.mark.parametrize("records", [0, 1_024, 1_000_000, 10**9])

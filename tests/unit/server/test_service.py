@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.gate.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
 
 from authguard_r.client.controller import Channel
 from authguard_r.core.encoding import Tag
@@ -36,6 +35,7 @@ from authguard_r.wire.messages import (
     Propose,
 )
 from fixtures import scenarios
+from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
 from unit.sim.desks import NONCE
 
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from unit.gate.demo_site import House
 
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server.braking import PATIENCE_MS
 from authguard_r.server.stop_recorder import _SAME_MS
 from authguard_r.wire.messages import Act, ClientRole, Kind, Order, Stop
+from unit.server.demo_site import House
 
 OPERATOR, AUDITOR, PLANNER = ClientRole.OPERATOR, ClientRole.AUDITOR, ClientRole.PLANNER
 

@@ -8,7 +8,16 @@ from typing import Any
 
 import msgspec
 import pytest
-from unit.gate.demo_site import (
+
+from authguard_r.core.action import Action
+from authguard_r.core.encoding import b64, encode_fast
+from authguard_r.core.errors import ControllerError
+from authguard_r.core.identifiers import Digest
+from authguard_r.core.mission import Limit
+from authguard_r.server.streams import MIN_GAP_MS, RECORD_MS, is_stream
+from authguard_r.wire.messages import ClientRole, Close, Kind, Sample
+from fixtures import scenarios
+from unit.server.demo_site import (
     GO,
     Guest,
     House,
@@ -19,15 +28,6 @@ from unit.gate.demo_site import (
     reasons,
     ticket_of,
 )
-
-from authguard_r.core.action import Action
-from authguard_r.core.encoding import b64, encode_fast
-from authguard_r.core.errors import ControllerError
-from authguard_r.core.identifiers import Digest
-from authguard_r.core.mission import Limit
-from authguard_r.server.streams import MIN_GAP_MS, RECORD_MS, is_stream
-from authguard_r.wire.messages import ClientRole, Close, Kind, Sample
-from fixtures import scenarios
 
 OTHER = Limit(parameter="speed_mm_s", low=0, high=1)
 ZERO = {"linear_mm_s": 0, "lateral_mm_s": 0, "turn_urad_s": 0}

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import pytest
-from unit.gate.robots import config, peers
 
 from authguard_r.access.gate_config import Peer
 from authguard_r.operations.checkup.advice import Advice, Code, Level, in_demonstration
 from authguard_r.operations.checkup.users import config_advice, user_advice, user_name
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
+from unit.server.robots import config, peers
 
 PLANNER = peers()[0].uid
 

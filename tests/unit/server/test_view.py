@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
-from unit.gate.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, House, page
 
 from authguard_r.server.queries import _PAGE_BYTES
 from authguard_r.wire.messages import ClientRole, Kind, Mode
 from fixtures import scenarios
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, House, page
 
 
 def test_status_without_a_mission_says_so() -> None:

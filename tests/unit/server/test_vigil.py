@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.gate.robots import config
 
 from authguard_r.operations.simulation import Simulation
 from authguard_r.server.event_bus import Notices
@@ -22,6 +21,7 @@ from fixtures import scenarios
 from fixtures.gate_process import until
 from fixtures.restarting_gate import copied
 from fixtures.small_witness import SmallWitness, begin, policy
+from unit.server.robots import config
 from unit.test_anchor import order
 
 
