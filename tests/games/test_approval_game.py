@@ -37,7 +37,7 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.enforcement.enforcer import enforcer
+from authguard_r.enforcement import enforcer
 from authguard_r.enforcement.inputs import Intake
 from authguard_r.enforcement.management import answers
 from authguard_r.enforcement.report import Report
